@@ -1,0 +1,9 @@
+//! meshmill reduces huge scans in fixed memory.
+
+pub mod budget;
+pub mod error;
+pub mod mesh;
+pub mod progress;
+pub mod quadric;
+
+pub use error::{Error, Result};

@@ -1,0 +1,75 @@
+//! Progress and cancellation, shared by every stage: stages count, `main` shows.
+//!
+//! All counters are relaxed atomics: they inform, they never decide, so they cannot change a byte of the result.
+
+use crate::error::{Error, Result};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, AtomicU64, AtomicUsize, Ordering::Relaxed};
+
+/// The stage that is running, in the order of the pipeline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Stage {
+    /// Opening the scan, counting what its header does not say, loading it when it fits.
+    Read = 0,
+    /// Binning vertices and summing quadrics per cell.
+    Cluster = 1,
+    /// Batched collapse.
+    Collapse = 2,
+    /// Encoding, syncing and renaming the result.
+    Write = 3,
+}
+
+impl Stage {
+    /// The stage's word in reports and on the terminal.
+    pub fn word(self) -> &'static str {
+        ["read", "cluster", "collapse", "write"][self as usize]
+    }
+}
+
+/// How far a run is. One per run; shared by reference with every worker.
+#[derive(Debug, Default)]
+pub struct Progress {
+    stage: AtomicU8,
+    done: AtomicU64,
+    total: AtomicU64,
+    signal: Arc<AtomicUsize>,
+}
+
+impl Progress {
+    /// A progress that `signal` can cancel: a non-zero value is the signal that asked the run to end.
+    pub fn cancelled_by(signal: Arc<AtomicUsize>) -> Self {
+        Progress { signal, ..Default::default() }
+    }
+
+    /// Enters a stage of `total` steps (bytes, vertices or faces, as the stage counts).
+    pub fn begin(&self, stage: Stage, total: u64) {
+        self.done.store(0, Relaxed);
+        self.total.store(total, Relaxed);
+        self.stage.store(stage as u8, Relaxed);
+    }
+
+    /// Counts `n` further steps.
+    pub fn add(&self, n: u64) {
+        self.done.fetch_add(n, Relaxed);
+    }
+
+    /// `(stage, done, total)` now.
+    pub fn now(&self) -> (Stage, u64, u64) {
+        let stage = match self.stage.load(Relaxed) {
+            0 => Stage::Read,
+            1 => Stage::Cluster,
+            2 => Stage::Collapse,
+            _ => Stage::Write,
+        };
+        (stage, self.done.load(Relaxed), self.total.load(Relaxed))
+    }
+
+    /// `Err(Interrupted)` once a signal has arrived. Stages ask between chunks and between passes.
+    pub fn check(&self) -> Result<()> {
+        match self.signal.load(Relaxed) {
+            0 => Ok(()),
+            signal => Err(Error::Interrupted { signal: signal as i32 }),
+        }
+    }
+}
