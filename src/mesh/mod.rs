@@ -1,5 +1,6 @@
 //! The meshes that pass between stages, and the frame in which their coordinates live.
 
+pub mod adjacency;
 mod frame;
 mod indexed;
 mod weld;

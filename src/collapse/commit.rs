@@ -1,0 +1,141 @@
+//! Applying a batch: merge, renumber, compact. Orders are kept, so that numbers stay monotone and locality stays.
+
+use super::select::{Batch, NONE, Pair};
+use super::surface::{MERGED, ODD, Surface, TOUCHED};
+use crate::mesh::{Coordinate, widen};
+use crate::quadric::PackedQuadric;
+use rayon::prelude::*;
+use std::sync::atomic::Ordering::Relaxed;
+
+/// A face still uses the vertex.
+const USED: u8 = 8;
+
+/// Pairs whose merged quadrics are held at a time, 48 bytes each.
+const BLOCK: usize = 1 << 16;
+
+/// Performs the collapses of `pairs` (all that `batch` holds) and removes the faces in `fins`. Returns the largest squared
+/// error among the merged vertices.
+pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, pairs: &[Pair], fins: &[u32]) -> f64 {
+    surface.marks.par_iter().with_min_len(4096).for_each(|m| {
+        m.fetch_and(ODD, Relaxed);
+    });
+    let error_sq = merge(surface, batch, pairs);
+    for &f in fins {
+        surface.faces[f as usize] = [NONE; 3];
+    }
+    rename(surface, batch);
+    compact(surface);
+    error_sq
+}
+
+fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, pairs: &[Pair]) -> f64 {
+    let mut error_sq = 0.0f64;
+    for block in pairs.chunks(BLOCK) {
+        let merged: Vec<(PackedQuadric, f64)> = block
+            .par_iter()
+            .with_min_len(256)
+            .map(|pair| {
+                let q = surface.merged(pair.stays, pair.goes, widen(batch.spot(pair.stays)));
+                (q.pack(), if q.w > 0.0 { q.c / q.w } else { 0.0 })
+            })
+            .collect();
+        for (pair, (quadric, error)) in block.iter().zip(merged) {
+            let v = pair.stays as usize;
+            surface.learnt[v] = quadric;
+            error_sq = error_sq.max(error);
+        }
+    }
+    for pair in pairs {
+        let (v, u) = (pair.stays as usize, pair.goes as usize);
+        surface.positions[v] = batch.spot(pair.stays);
+        let odd = (*surface.marks[v].get_mut() | *surface.marks[u].get_mut()) & ODD;
+        *surface.marks[v].get_mut() = odd | MERGED;
+    }
+    error_sq
+}
+
+/// Gives faces their new vertices and marks those that are no more (`NONE`, cost not a number).
+fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
+    let marks = &surface.marks;
+    let mark = |v: u32, bits: u8| {
+        let m = &marks[v as usize];
+        if m.load(Relaxed) & bits != bits {
+            m.fetch_or(bits, Relaxed);
+        }
+    };
+    surface.faces.par_iter_mut().zip(&mut surface.costs).with_min_len(4096).for_each(|(face, costs)| {
+        if face[0] != NONE {
+            let changed = face.iter().any(|&v| batch.moves(v));
+            let now = if changed { face.map(|v| batch.becomes(v)) } else { *face };
+            if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
+                let bits = if changed { USED | TOUCHED } else { USED };
+                now.iter().for_each(|&v| mark(v, bits));
+                *face = now;
+                return;
+            }
+        }
+        *face = [NONE; 3];
+        *costs = [f32::NAN; 3];
+    });
+}
+
+/// Drops faces that are no more and vertices that no face uses.
+fn compact<S: Coordinate>(surface: &mut Surface<S>) {
+    let Surface { faces, costs, positions, learnt, current, marks, .. } = surface;
+    let mut kept = 0;
+    let numbers: Vec<u32> = marks
+        .iter()
+        .map(|m| {
+            let used = m.load(Relaxed) & USED != 0;
+            kept += u32::from(used);
+            if used { kept - 1 } else { NONE }
+        })
+        .collect();
+    rayon::join(
+        || {
+            rayon::join(
+                || {
+                    faces.retain_mut(|face| {
+                        let lives = face[0] != NONE;
+                        if lives {
+                            *face = face.map(|v| numbers[v as usize]);
+                        }
+                        lives
+                    })
+                },
+                || {
+                    keep(positions, &numbers);
+                    keep_marks(marks, &numbers);
+                },
+            )
+        },
+        || {
+            keep(learnt, &numbers);
+            keep(current, &numbers);
+            costs.retain(|c| !c[0].is_nan());
+        },
+    );
+}
+
+/// Moves the kept elements to their new places, which are never behind their old ones.
+fn keep<T: Copy>(items: &mut Vec<T>, numbers: &[u32]) {
+    let mut kept = 0;
+    if items.is_empty() {
+        return;
+    }
+    for (old, &new) in numbers.iter().enumerate() {
+        if new != NONE {
+            items[kept] = items[old];
+            kept += 1;
+        }
+    }
+    items.truncate(kept);
+}
+
+fn keep_marks(marks: &mut Vec<std::sync::atomic::AtomicU8>, numbers: &[u32]) {
+    let mut old = 0;
+    marks.retain(|_| {
+        old += 1;
+        numbers[old - 1] != NONE
+    });
+}

@@ -1,0 +1,249 @@
+//! The last collapses, one at a time from a heap, so that the count is exact and the order is the thesis's.
+
+use super::Options;
+use super::select::{NONE, order};
+use super::surface::{Around, ODD, Surface};
+use crate::mesh::adjacency::{Stars, next, previous};
+use crate::mesh::{Coordinate, widen};
+use crate::{Result, progress::Progress};
+use rustc_hash::FxHashMap;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::sync::atomic::Ordering::Relaxed;
+
+/// The stars of the round that came last, and over them those that the tail has changed.
+struct Overlay {
+    stars: Stars,
+    changed: FxHashMap<u32, Vec<u32>>,
+}
+
+impl Around for Overlay {
+    fn of(&self, v: u32) -> &[u32] {
+        match self.changed.get(&v) {
+            Some(corners) => corners,
+            None => self.stars.of(v),
+        }
+    }
+}
+
+/// An edge in the heap: cost as bits (costs are never negative, so bits order as numbers do), then the tie-break.
+type Entry = Reverse<(u32, (u32, u32, u32))>;
+
+/// What a collapse may do to the faces around it.
+#[derive(Clone, Copy, PartialEq)]
+enum Folding {
+    Refused,
+    /// Nothing else is left: a face may fold over, so that the count is reached.
+    Allowed,
+}
+
+/// Collapses until at most `target` faces are left. Stops earlier where no collapse keeps the error bound. Returns the
+/// largest squared error among the merged vertices and whether faces had to be folded over.
+pub(super) fn finish<S: Coordinate>(
+    surface: &mut Surface<S>,
+    target: usize,
+    options: &Options,
+    progress: &Progress,
+) -> Result<(f64, bool)> {
+    let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
+    let mut tail =
+        Tail { left: surface.faces.len(), surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, target, options };
+    let mut folding = Folding::Refused;
+    let mut folded = false;
+    while tail.left > target {
+        let before = tail.left;
+        tail.fill_heap();
+        tail.drain(folding, progress)?;
+        folded |= folding == Folding::Allowed && tail.left < before;
+        if tail.left == before {
+            if folding == Folding::Allowed || options.max_error < f64::INFINITY {
+                break;
+            }
+            folding = Folding::Allowed;
+        } else {
+            folding = Folding::Refused;
+        }
+    }
+    let Tail { overlay, error_sq, .. } = tail;
+    surface.stars = overlay.stars;
+    surface.stars.release();
+    compact(surface);
+    Ok((error_sq, folded))
+}
+
+struct Tail<'a, S> {
+    surface: &'a mut Surface<S>,
+    overlay: Overlay,
+    heap: BinaryHeap<Entry>,
+    left: usize,
+    error_sq: f64,
+    target: usize,
+    options: &'a Options,
+}
+
+impl<S: Coordinate> Tail<'_, S> {
+    fn fill_heap(&mut self) {
+        let mut entries = Vec::new();
+        for (f, face) in self.surface.faces.iter().enumerate() {
+            if face[0] == NONE {
+                continue;
+            }
+            for i in 0..3 {
+                let (a, b) = (face[i], face[(i + 1) % 3]);
+                let first = || self.surface.shared(&self.overlay, a, b).min() == Some(f as u32);
+                if a < b || first() {
+                    entries.push(self.entry(a, b));
+                }
+            }
+        }
+        self.heap = BinaryHeap::from(entries);
+    }
+
+    fn entry(&self, a: u32, b: u32) -> Entry {
+        let cost = self.surface.candidate(&self.overlay, a, b, self.options).cost as f32;
+        Reverse((cost.to_bits(), order(a, b)))
+    }
+
+    fn alive(&self, v: u32) -> bool {
+        !self.overlay.of(v).is_empty()
+    }
+
+    fn drain(&mut self, folding: Folding, progress: &Progress) -> Result<()> {
+        let mut turns = 0u32;
+        while self.left > self.target {
+            turns = turns.wrapping_add(1);
+            if turns.is_multiple_of(4096) {
+                progress.check()?;
+            }
+            let Some(Reverse((cost, (_, a, b)))) = self.heap.pop() else { return Ok(()) };
+            let shared = self.surface.shared(&self.overlay, a, b).count();
+            if shared == 0 || !self.alive(a) || !self.alive(b) {
+                continue;
+            }
+            let now = self.entry(a, b);
+            if now.0.0 > cost {
+                self.heap.push(now);
+                continue;
+            }
+            // On a manifold an edge has one or two faces, so the count falls to the target or one below it.
+            if shared > 2 && self.left - shared + 2 < self.target {
+                continue;
+            }
+            self.try_collapse(a, b, folding);
+            if folding == Folding::Allowed {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    fn try_collapse(&mut self, a: u32, b: u32, folding: Folding) {
+        let s = &*self.surface;
+        let candidate = s.candidate(&self.overlay, a, b, self.options);
+        let spot = s.spot(a, b, candidate.step);
+        let merged = s.merged(a, b, widen(spot));
+        let error_sq = if merged.w > 0.0 { merged.c / merged.w } else { 0.0 };
+        if error_sq > self.options.max_error * self.options.max_error
+            || folding == Folding::Refused && s.folds(&self.overlay, a, b, widen(spot))
+        {
+            return;
+        }
+        self.error_sq = self.error_sq.max(error_sq);
+        let v = a as usize;
+        self.surface.positions[v] = spot;
+        self.surface.learnt[v] = merged.pack();
+        let odd = self.surface.marks[b as usize].load(Relaxed) & ODD;
+        self.surface.marks[v].fetch_or(odd, Relaxed);
+        self.rewire(a, b);
+        self.cancel_fins(a);
+        self.refresh(a);
+    }
+
+    /// Faces of `b` become `a`'s; faces of both go.
+    fn rewire(&mut self, a: u32, b: u32) {
+        let mut star = self.overlay.of(a).to_vec();
+        star.extend_from_slice(self.overlay.of(b));
+        for &corner in &star {
+            let face = &mut self.surface.faces[corner as usize / 3];
+            face[corner as usize % 3] = a;
+        }
+        let repeated = |face: [u32; 3]| face.iter().filter(|&&v| v == a).count() > 1;
+        let gone: Vec<u32> =
+            star.iter().map(|c| c / 3).filter(|&f| repeated(self.surface.faces[f as usize])).collect();
+        star.retain(|c| !gone.contains(&(c / 3)));
+        self.overlay.changed.insert(a, star);
+        self.overlay.changed.insert(b, Vec::new());
+        let mut gone = gone;
+        gone.sort_unstable();
+        gone.dedup();
+        for f in gone {
+            self.remove(f);
+        }
+    }
+
+    fn remove(&mut self, f: u32) {
+        for v in self.surface.faces[f as usize] {
+            let mut star = self.overlay.of(v).to_vec();
+            star.retain(|c| c / 3 != f);
+            self.overlay.changed.insert(v, star);
+        }
+        self.surface.faces[f as usize] = [NONE; 3];
+        self.left -= 1;
+    }
+
+    /// Drops pairs of opposite coincident faces at `v`, as long as the count allows.
+    fn cancel_fins(&mut self, v: u32) {
+        while self.left >= self.target + 2 {
+            let ends = |c: u32| (self.surface.vertex(next(c)), self.surface.vertex(previous(c)));
+            let star = self.overlay.of(v);
+            let pair = star.iter().enumerate().find_map(|(i, &c)| {
+                let (p, q) = ends(c);
+                star[..i].iter().find(|&&d| ends(d) == (q, p)).map(|&d| (c / 3, d / 3))
+            });
+            let Some((f, g)) = pair else { return };
+            self.remove(f);
+            self.remove(g);
+        }
+    }
+
+    /// Renews the current quadrics around `v` and the entries of its edges.
+    fn refresh(&mut self, v: u32) {
+        let mut ring: Vec<u32> = Vec::new();
+        for &c in self.overlay.of(v) {
+            ring.extend([self.surface.vertex(next(c)), self.surface.vertex(previous(c))]);
+        }
+        ring.sort_unstable();
+        ring.dedup();
+        if !self.surface.current.is_empty() {
+            for &u in ring.iter().chain([&v]) {
+                let form = self.surface.form_around(&self.overlay, u, self.options);
+                self.surface.current[u as usize] = form.a.map(|x| x as f32);
+            }
+        }
+        for u in ring {
+            let entry = self.entry(v, u);
+            self.heap.push(entry);
+        }
+    }
+}
+
+/// Drops what the tail has removed.
+fn compact<S: Coordinate>(surface: &mut Surface<S>) {
+    surface.faces.retain(|f| f[0] != NONE);
+    let mut numbers = vec![NONE; surface.positions.len()];
+    for &v in surface.faces.iter().flatten() {
+        numbers[v as usize] = 0;
+    }
+    let mut kept = 0;
+    for (v, number) in numbers.iter_mut().enumerate() {
+        if *number != NONE {
+            surface.positions[kept] = surface.positions[v];
+            *number = kept as u32;
+            kept += 1;
+        }
+    }
+    surface.positions.truncate(kept);
+    for v in surface.faces.iter_mut().flatten() {
+        *v = numbers[*v as usize];
+    }
+}

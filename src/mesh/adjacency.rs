@@ -1,0 +1,116 @@
+//! Which corners meet at each vertex.
+
+use rayon::prelude::*;
+
+/// The star of every vertex, as one array: the corners (`3·face + side`) at vertex `v` are
+/// `corners[first[v]..first[v + 1]]`, in face order. 12 bytes a face and 4 a vertex.
+#[derive(Debug, Default)]
+pub struct Stars {
+    first: Vec<u32>,
+    corners: Vec<u32>,
+}
+
+/// Into how many vertex ranges a build is cut. Each range scans all faces, so more would cost more than it spreads; the
+/// result does not depend on it.
+const RANGES: usize = 4;
+
+impl Stars {
+    /// Rebuilds for `faces` over `vertices` vertices, reusing the memory. At most 2³²/3 faces.
+    pub fn rebuild(&mut self, faces: &[[u32; 3]], vertices: usize) {
+        assert!(faces.len() <= u32::MAX as usize / 3, "a corner is numbered in 32 bits");
+        self.first.clear();
+        self.first.resize(vertices + 1, 0);
+        let ranges = RANGES.min(rayon::current_num_threads());
+        let span = vertices.div_ceil(ranges).max(1);
+
+        // first[v + 1] counts v's corners, then holds where they begin, and after filling where they end.
+        self.first[1..].par_chunks_mut(span).enumerate().for_each(|(range, counts)| {
+            let low = (range * span) as u32;
+            for &v in faces.iter().flatten() {
+                if let Some(count) = counts.get_mut(v.wrapping_sub(low) as usize) {
+                    *count += 1;
+                }
+            }
+        });
+        let mut begin = 0;
+        for slot in &mut self.first[1..] {
+            begin += std::mem::replace(slot, begin);
+        }
+        self.corners.clear();
+        self.corners.resize(3 * faces.len(), 0);
+
+        let mut rest = self.corners.as_mut_slice();
+        let mut taken = 0;
+        let mut parts = Vec::with_capacity(ranges);
+        let mut ends = self.first[1..].chunks_mut(span).peekable();
+        while let Some(cursors) = ends.next() {
+            let end = ends.peek().map_or(3 * faces.len(), |next| next[0] as usize);
+            let (part, later) = rest.split_at_mut(end - taken);
+            parts.push((taken as u32, cursors, part));
+            (rest, taken) = (later, end);
+        }
+        parts.into_par_iter().enumerate().for_each(|(range, (base, cursors, part))| {
+            let low = (range * span) as u32;
+            for (corner, &v) in faces.as_flattened().iter().enumerate() {
+                if let Some(cursor) = cursors.get_mut(v.wrapping_sub(low) as usize) {
+                    part[(*cursor - base) as usize] = corner as u32;
+                    *cursor += 1;
+                }
+            }
+        });
+    }
+
+    /// The corners at `v`.
+    #[inline(always)]
+    pub fn of(&self, v: u32) -> &[u32] {
+        &self.corners[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
+    }
+
+    /// Gives the memory back.
+    pub fn release(&mut self) {
+        *self = Stars::default();
+    }
+}
+
+/// The corner after `corner` in its face.
+#[inline(always)]
+pub fn next(corner: u32) -> u32 {
+    if corner % 3 == 2 { corner - 2 } else { corner + 1 }
+}
+
+/// The corner before `corner` in its face.
+#[inline(always)]
+pub fn previous(corner: u32) -> u32 {
+    if corner.is_multiple_of(3) { corner + 2 } else { corner - 1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_corner_is_in_the_star_of_its_vertex_and_nowhere_else() {
+        let faces: Vec<[u32; 3]> = (0..997u32).map(|i| [i * 7 % 113, i * 13 % 113 + 5, i * 31 % 120]).collect();
+        let mut stars = Stars::default();
+        for threads in [1, 3, 8] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| stars.rebuild(&faces, 121));
+            let mut seen = 0;
+            for v in 0..121 {
+                assert!(stars.of(v).is_sorted());
+                for &c in stars.of(v) {
+                    assert_eq!(faces[c as usize / 3][c as usize % 3], v);
+                    seen += 1;
+                }
+            }
+            assert_eq!(seen, 3 * faces.len());
+        }
+    }
+
+    #[test]
+    fn no_faces_leave_empty_stars() {
+        let mut stars = Stars::default();
+        stars.rebuild(&[], 5);
+        assert!((0..5).all(|v| stars.of(v).is_empty()));
+    }
+}
