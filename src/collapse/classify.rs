@@ -1,8 +1,7 @@
-//! What the scan's edges and vertices are: regular, border, non-manifold; and which faces cancel.
+//! What the mesh's edges and vertices are: regular, border, non-manifold.
 
 use super::surface::{ODD, Surface};
 use crate::mesh::Coordinate;
-use crate::mesh::adjacency::{next, previous};
 use rayon::prelude::*;
 use std::sync::atomic::Ordering::Relaxed;
 
@@ -33,28 +32,59 @@ pub(super) fn classify<S: Coordinate>(surface: &Surface<S>) -> Irregularities {
     (0..surface.positions.len() as u32)
         .into_par_iter()
         .with_min_len(1024)
-        .map(|v| classify_vertex(surface, v))
+        .map_init(Vec::new, |ends, v| {
+            ends.clear();
+            ends.extend(surface.stars.of(v).iter().map(|&c| surface.ends(c)));
+            if is_regular(ends) {
+                return Irregularities::default();
+            }
+            let found = irregularities(v, ends);
+            if found.nonmanifold_vertices == 0 {
+                surface.marks[v as usize].fetch_or(ODD, Relaxed);
+            }
+            found
+        })
         .reduce(Irregularities::default, |a, b| a + b)
 }
 
-fn classify_vertex<S: Coordinate>(surface: &Surface<S>, v: u32) -> Irregularities {
-    let star = surface.stars.of(v);
-    let count = |u: u32| {
-        let out = star.iter().filter(|&&c| surface.vertex(next(c)) == u).count();
-        let back = star.iter().filter(|&&c| surface.vertex(previous(c)) == u).count();
-        (out, back)
-    };
+/// Whether the faces at a vertex, each from one neighbour to the next, form one closed fan.
+#[inline(always)]
+fn is_regular(ends: &[(u32, u32)]) -> bool {
+    let Some(&(start, mut u)) = ends.first() else { return true };
+    let mut fan = 1;
+    while u != start {
+        let mut next = None;
+        for e in ends {
+            if e.0 == u {
+                if next.is_some() {
+                    return false;
+                }
+                next = Some(e.1);
+            }
+        }
+        let Some(after) = next else { return false };
+        u = after;
+        fan += 1;
+        if fan > ends.len() {
+            return false;
+        }
+    }
+    fan == ends.len()
+}
+
+/// What is irregular at `v`; each edge is counted at its lower end.
+fn irregularities(v: u32, ends: &[(u32, u32)]) -> Irregularities {
     let mut found = Irregularities::default();
     let mut odd = false;
-    for (i, &corner) in star.iter().enumerate() {
-        for u in [surface.vertex(next(corner)), surface.vertex(previous(corner))] {
-            let (out, back) = count(u);
+    for (i, e) in ends.iter().enumerate() {
+        for u in [e.0, e.1] {
+            let out = ends.iter().filter(|e| e.0 == u).count();
+            let back = ends.iter().filter(|e| e.1 == u).count();
             if (out, back) == (1, 1) {
                 continue;
             }
             odd = true;
-            let earlier = |&&c: &&u32| surface.vertex(next(c)) == u || surface.vertex(previous(c)) == u;
-            if v < u && !star[..i].iter().any(|c| earlier(&c)) {
+            if v < u && !ends[..i].iter().any(|e| e.0 == u || e.1 == u) {
                 if out + back == 1 {
                     found.border_edges += 1;
                 } else {
@@ -63,52 +93,6 @@ fn classify_vertex<S: Coordinate>(surface: &Surface<S>, v: u32) -> Irregularitie
             }
         }
     }
-    if odd {
-        surface.marks[v as usize].fetch_or(ODD, Relaxed);
-    } else if let Some(&start) = star.first() {
-        let mut corner = start;
-        let mut fan = 0;
-        loop {
-            fan += 1;
-            let u = surface.vertex(previous(corner));
-            let Some(&turn) = star.iter().find(|&&c| surface.vertex(next(c)) == u) else { break };
-            corner = turn;
-            if corner == start {
-                break;
-            }
-        }
-        found.nonmanifold_vertices += u64::from(fan < star.len());
-    }
+    found.nonmanifold_vertices = u64::from(!odd);
     found
-}
-
-/// Faces that cancel: of coincident faces, equally many of both orientations. Dropping such a pair leaves the parity of
-/// every edge as it was, and with it closed what was closed. Needs fresh stars; in face order, pairs not adjacent.
-pub(super) fn fins<S: Coordinate>(surface: &Surface<S>) -> Vec<u32> {
-    let mut found: Vec<u32> = (0..surface.positions.len() as u32)
-        .into_par_iter()
-        .with_min_len(1024)
-        .flat_map_iter(|v| fins_led_by(surface, v))
-        .collect();
-    found.sort_unstable();
-    found
-}
-
-fn fins_led_by<S: Coordinate>(surface: &Surface<S>, v: u32) -> Vec<u32> {
-    let mut led = Vec::new();
-    let star = surface.stars.of(v);
-    let ends = |c: u32| (surface.vertex(next(c)), surface.vertex(previous(c)));
-    for (i, &c) in star.iter().enumerate() {
-        let (p, q) = ends(c);
-        if p < v || q < v {
-            continue;
-        }
-        // The k-th face of one orientation cancels against the k-th of the other, where there is one.
-        let same = star[..i].iter().filter(|&&d| ends(d) == (p, q)).count();
-        let other = star.iter().filter(|&&d| ends(d) == (q, p)).count();
-        if same < other {
-            led.push(c / 3);
-        }
-    }
-    led
 }

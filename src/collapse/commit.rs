@@ -13,16 +13,12 @@ const USED: u8 = 8;
 /// Pairs whose merged quadrics are held at a time, 48 bytes each.
 const BLOCK: usize = 1 << 16;
 
-/// Performs the collapses of `pairs` (all that `batch` holds) and removes the faces in `fins`. Returns the largest squared
-/// error among the merged vertices.
-pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, pairs: &[Pair], fins: &[u32]) -> f64 {
+/// Performs the collapses of `pairs` (all that `batch` holds). Returns the largest squared error among the merged vertices.
+pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, pairs: &[Pair]) -> f64 {
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
         m.fetch_and(ODD, Relaxed);
     });
     let error_sq = merge(surface, batch, pairs);
-    for &f in fins {
-        surface.faces[f as usize] = [NONE; 3];
-    }
     rename(surface, batch);
     compact(surface);
     error_sq
@@ -64,18 +60,16 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
         }
     };
     surface.faces.par_iter_mut().zip(&mut surface.costs).with_min_len(4096).for_each(|(face, costs)| {
-        if face[0] != NONE {
-            let changed = face.iter().any(|&v| batch.moves(v));
-            let now = if changed { face.map(|v| batch.becomes(v)) } else { *face };
-            if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
-                let bits = if changed { USED | TOUCHED } else { USED };
-                now.iter().for_each(|&v| mark(v, bits));
-                *face = now;
-                return;
-            }
+        let changed = face.iter().any(|&v| batch.moves(v));
+        let now = if changed { face.map(|v| batch.becomes(v)) } else { *face };
+        if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
+            let bits = if changed { USED | TOUCHED } else { USED };
+            now.iter().for_each(|&v| mark(v, bits));
+            *face = now;
+        } else {
+            *face = [NONE; 3];
+            *costs = [f32::NAN; 3];
         }
-        *face = [NONE; 3];
-        *costs = [f32::NAN; 3];
     });
 }
 

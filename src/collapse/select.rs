@@ -7,17 +7,21 @@
 //!
 //! Stars of neighbouring collapses overlap. Each collapse is checked alone against the round's geometry, then all faces
 //! with two or more moving corners are checked with all of them moved; of the collapses at a face that folds over, the
-//! dearest is taken back, until none folds.
+//! one is taken back (by a hash: any rule that threads cannot change will do), until none folds.
 
 use super::Options;
-use super::surface::{REFUSED, Surface, turned};
+use super::surface::{Surface, turned};
+use crate::mesh::adjacency::{after, before, parts};
 use crate::mesh::{Coordinate, widen};
 use glam::DVec3;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// No vertex.
 pub(super) const NONE: u32 = u32::MAX;
+
+/// A preference that must be looked for.
+const ASK: u32 = u32::MAX - 1;
 
 /// Turns of the matching in one round. On a valence-6 mesh one turn takes 27 % of the vertices, four reach 44 % of the
 /// 46 % that the full greedy matching has.
@@ -25,7 +29,9 @@ const TURNS: usize = 4;
 
 /// The arrays of one round, kept for the next: 8 bytes a vertex and a position.
 pub(super) struct Batch<S> {
-    best: Vec<u32>,
+    /// The end of the cheapest edge; [`NONE`] or [`ASK`].
+    best: Vec<AtomicU32>,
+    /// The other end of the collapse that a vertex is in, or [`NONE`].
     mates: Vec<AtomicU32>,
     /// Where the collapse that a vertex leads puts it. A collapse is led by its lower end.
     spots: Vec<[S; 3]>,
@@ -44,22 +50,21 @@ impl<S: Coordinate> Batch<S> {
         Batch { best: Vec::new(), mates: Vec::new(), spots: Vec::new() }
     }
 
-    /// Chooses a batch among the edges of at most `limit`; costs of refused collapses become [`REFUSED`].
+    /// Chooses a batch among the edges of at most `limit`; costs of refused collapses are marked as such.
     pub fn select(&mut self, surface: &mut Surface<S>, limit: f32, options: &Options) {
         let n = surface.positions.len();
         self.best.clear();
-        self.best.resize(n, NONE);
+        self.best.resize_with(n, || AtomicU32::new(ASK));
         self.mates.clear();
         self.mates.resize_with(n, || AtomicU32::new(NONE));
-        self.spots.clear();
         self.spots.resize(n, [S::narrow(0.0); 3]);
         for _ in 0..TURNS {
             self.prefer(surface, limit);
             let (taken, refused) = self.take(surface, options);
-            if refused > 0 {
-                self.mark_refused(surface);
+            for &(v, u) in &refused {
+                surface.refuse(v, u);
             }
-            if taken + refused == 0 {
+            if taken + refused.len() == 0 {
                 break;
             }
         }
@@ -67,67 +72,58 @@ impl<S: Coordinate> Batch<S> {
         self.take_back_folds(surface);
     }
 
-    /// Every free vertex looks for its cheapest edge to a free vertex.
+    /// Every free vertex looks for its cheapest edge to a free vertex, unless the one it found before still stands.
     fn prefer(&mut self, surface: &Surface<S>, limit: f32) {
         let mates = &self.mates;
         let free = |v: u32| mates[v as usize].load(Relaxed) == NONE;
         self.best.par_iter_mut().enumerate().with_min_len(1024).for_each(|(v, best)| {
-            let v = v as u32;
-            if !free(v) {
-                *best = NONE;
+            let (v, best) = (v as u32, best.get_mut());
+            if *best == NONE || *best != ASK && free(v) && free(*best) {
                 return;
             }
-            let mut least = (limit, NONE);
-            for &corner in surface.stars.of(v) {
-                let (f, i) = (corner as usize / 3, corner as usize % 3);
-                let (face, costs) = (surface.faces[f], surface.costs[f]);
-                for (cost, u) in [(costs[i], face[(i + 1) % 3]), (costs[(i + 2) % 3], face[(i + 2) % 3])] {
-                    if cost <= least.0 && cost < REFUSED && u != least.1 && free(u) && precedes(v, (cost, u), least) {
-                        least = (cost, u);
-                    }
-                }
-            }
-            *best = least.1;
+            *best = if free(v) { cheapest(surface, v, limit, free) } else { NONE };
         });
     }
 
-    /// Takes every edge that both its ends prefer and whose collapse folds nothing. Returns how many were taken and how
-    /// many refused (their `best` stays, their mates stay [`NONE`]).
-    fn take(&mut self, surface: &Surface<S>, options: &Options) -> (usize, usize) {
+    /// Takes every edge that both its ends prefer and whose collapse folds nothing; the ends of one that does will look
+    /// again. Returns how many were taken and which were refused.
+    fn take(&mut self, surface: &Surface<S>, options: &Options) -> (usize, Vec<(u32, u32)>) {
         let (best, mates) = (&self.best, &self.mates);
+        let prefers = |v: u32, u: u32| best[v as usize].load(Relaxed) == u;
         self.spots
             .par_iter_mut()
             .enumerate()
             .with_min_len(1024)
-            .map(|(v, spot)| {
-                let v = v as u32;
-                let u = best[v as usize];
-                if u == NONE || v > u || best[u as usize] != v {
-                    return (0, 0);
-                }
-                let candidate = surface.candidate(&surface.stars, v, u, options);
-                *spot = surface.spot(v, u, candidate.step);
-                if !admissible(surface, v, u, widen(*spot), options) {
-                    return (0, 1);
-                }
-                mates[v as usize].store(u, Relaxed);
-                mates[u as usize].store(v, Relaxed);
-                (1, 0)
-            })
-            .reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1))
-    }
-
-    /// Edges that both ends preferred and that were not taken are refused until their surroundings change.
-    fn mark_refused(&self, surface: &mut Surface<S>) {
-        surface.faces.par_iter().zip(&mut surface.costs).with_min_len(4096).for_each(|(face, costs)| {
-            for i in 0..3 {
-                let (a, b) = (face[i], face[(i + 1) % 3]);
-                let mutual = self.best[a as usize] == b && self.best[b as usize] == a;
-                if mutual && self.mates[a as usize].load(Relaxed) != b {
-                    costs[i] = costs[i].max(REFUSED);
-                }
-            }
-        });
+            .fold(
+                || (0, Vec::new()),
+                |(taken, mut refused), (v, spot)| {
+                    let (v, u) = (v as u32, best[v].load(Relaxed));
+                    if u == NONE || u == ASK || v > u || !prefers(u, v) || mates[v as usize].load(Relaxed) != NONE {
+                        return (taken, refused);
+                    }
+                    let candidate = surface.candidate(&surface.stars, v, u, options);
+                    *spot = surface.spot(v, u, candidate.step);
+                    let admitted = admissible(surface, v, u, widen(*spot), options);
+                    for (x, y) in [(v, u), (u, v)] {
+                        if admitted {
+                            mates[x as usize].store(y, Relaxed);
+                        } else {
+                            best[x as usize].store(ASK, Relaxed);
+                        }
+                    }
+                    if !admitted {
+                        refused.push((v, u));
+                    }
+                    (taken + usize::from(admitted), refused)
+                },
+            )
+            .reduce(
+                || (0, Vec::new()),
+                |(n, mut a), (m, b)| {
+                    a.extend(b);
+                    (n + m, a)
+                },
+            )
     }
 
     /// The vertex that leads the collapse that `v` is in.
@@ -139,42 +135,52 @@ impl<S: Coordinate> Batch<S> {
 
     /// Takes collapses back until no face with two or more moving corners folds over.
     fn take_back_folds(&mut self, surface: &Surface<S>) {
-        let back: Vec<AtomicBool> = (0..surface.positions.len()).map(|_| AtomicBool::new(false)).collect();
-        loop {
-            let folded = surface.faces.par_iter().enumerate().with_min_len(4096).filter(|(_, face)| {
-                let Some(dearest) = self.folded(surface, face) else { return false };
-                back[dearest as usize].store(true, Relaxed);
-                true
-            });
-            if folded.count() == 0 {
-                return;
-            }
-            self.mates.par_iter().enumerate().with_min_len(4096).for_each(|(v, mate)| {
-                let u = mate.load(Relaxed);
-                if u != NONE && back[(u as usize).min(v)].load(Relaxed) {
-                    mate.store(NONE, Relaxed);
+        let faces = surface.faces.len() as u32;
+        let mut back = self.folded_among(surface, (0..faces).into_par_iter().with_min_len(4096));
+        while !back.is_empty() {
+            let mut around = Vec::new();
+            for leader in back {
+                let mate = self.mates[leader as usize].load(Relaxed);
+                for v in [leader, mate] {
+                    if v != NONE {
+                        self.mates[v as usize].store(NONE, Relaxed);
+                        around.extend(surface.stars.of(v).iter().map(|c| c >> 2));
+                    }
                 }
-            });
+            }
+            // Only faces at a vertex that stays after all can have changed.
+            back = self.folded_among(surface, around.into_par_iter());
         }
     }
 
+    /// Leaders of collapses to take back: one for each face that the batch folds over, in order, once.
+    fn folded_among(&self, surface: &Surface<S>, faces: impl ParallelIterator<Item = u32>) -> Vec<u32> {
+        let mut back: Vec<u32> = faces.filter_map(|f| self.folded(surface, &surface.faces[f as usize])).collect();
+        back.sort_unstable();
+        back.dedup();
+        back
+    }
+
     /// If the batch folds `face` over: the leader of one of its collapses there.
+    #[inline(always)]
     fn folded(&self, surface: &Surface<S>, face: &[u32; 3]) -> Option<u32> {
-        let leaders = face.map(|v| self.leader(v));
-        let [a, b, c] = leaders;
-        let moving = leaders.iter().flatten().count();
-        if moving < 2 || a.is_some() && (a == b || a == c) || b.is_some() && b == c {
+        let mates = face.map(|v| self.mates[v as usize].load(Relaxed));
+        let moving = mates.iter().filter(|&&u| u != NONE).count();
+        if moving < 2 || mates.iter().any(|u| face.contains(u)) {
             return None;
         }
         let was = face.map(|v| surface.at(v));
         let mut would = was;
-        for (p, leader) in would.iter_mut().zip(leaders) {
-            if let Some(l) = leader {
-                *p = widen(self.spots[l as usize]);
+        let mut blamed = None;
+        for i in 0..3 {
+            if mates[i] != NONE {
+                let leader = face[i].min(mates[i]);
+                would[i] = widen(self.spots[leader as usize]);
+                blamed = blamed.max(Some((hash(leader, leader), leader)));
             }
         }
         let normal = |p: [DVec3; 3]| (p[1] - p[0]).cross(p[2] - p[0]);
-        turned(normal(was), normal(would)).then(|| leaders.into_iter().flatten().max_by_key(|&l| hash(l, l)).unwrap_or(0))
+        turned(normal(was), normal(would)).then_some(blamed?.1)
     }
 
     /// The collapses of the batch, by their leaders' order.
@@ -212,6 +218,22 @@ impl<S: Coordinate> Batch<S> {
     pub fn moves(&self, v: u32) -> bool {
         self.mates[v as usize].load(Relaxed) != NONE
     }
+}
+
+/// The free end of the cheapest edge at `v` of at most `limit`, or [`NONE`].
+#[inline(always)]
+fn cheapest<S: Coordinate>(surface: &Surface<S>, v: u32, limit: f32, free: impl Fn(u32) -> bool) -> u32 {
+    let mut least = (limit, NONE);
+    for &corner in surface.stars.of(v) {
+        let (f, i) = parts(corner);
+        let (face, costs) = (surface.faces[f], surface.costs[f]);
+        for (cost, u) in [(costs[i], face[after(i)]), (costs[before(i)], face[before(i)])] {
+            if cost <= least.0 && u != least.1 && free(u) && precedes(v, (cost, u), least) {
+                least = (cost, u);
+            }
+        }
+    }
+    least.1
 }
 
 /// Whether a collapse keeps the error bound and folds nothing over.

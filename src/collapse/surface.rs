@@ -1,7 +1,7 @@
 //! The mesh while it is collapsed: its arrays, and what is asked of them at one edge.
 
-use super::Options;
-use crate::mesh::adjacency::{Stars, next, previous};
+use super::{LEARNT_WEIGHT, Options};
+use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, narrow, widen};
 use crate::quadric::{PackedQuadric, Quadric};
 use glam::DVec3;
@@ -72,9 +72,12 @@ impl<S: Coordinate> Surface<S> {
         widen(self.positions[v as usize])
     }
 
+    /// The other two vertices of the face that a corner is in, in its order.
     #[inline(always)]
-    pub fn vertex(&self, corner: u32) -> u32 {
-        self.faces[corner as usize / 3][corner as usize % 3]
+    pub fn ends(&self, corner: u32) -> (u32, u32) {
+        let (f, side) = parts(corner);
+        let face = self.faces[f];
+        (face[after(side)], face[before(side)])
     }
 
     #[inline(always)]
@@ -103,19 +106,31 @@ impl<S: Coordinate> Surface<S> {
 
     /// Faces at both `a` and `b`.
     pub fn shared(&self, around: &impl Around, a: u32, b: u32) -> impl Iterator<Item = u32> {
-        around.of(a).iter().map(|&c| c / 3).filter(move |&f| self.faces[f as usize].contains(&b))
+        around.of(a).iter().map(|&c| c >> 2).filter(move |&f| self.faces[f as usize].contains(&b))
     }
 
     /// The cheapest place for the vertex that `a` and `b` would become.
     pub fn candidate(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> Candidate {
         let (pa, pb) = (self.at(a), self.at(b));
         let half = 0.5 * (pb - pa);
-        let q = if self.current.is_empty() {
-            self.learnt[a as usize].unpack().shifted(half) + self.learnt[b as usize].unpack().shifted(-half)
-        } else {
-            self.current_form(around, a, b, half, options)
-        };
-        place(&q, half)
+        let learnt = self.learnt_form(a, b, half);
+        if self.current.is_empty() {
+            return place(&learnt, half);
+        }
+        let mut candidate = place(&self.current_form(around, a, b, half, options), half);
+        candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
+        candidate
+    }
+
+    /// The sum of what both ends have learnt, about the middle of the edge.
+    #[inline(always)]
+    fn learnt_form(&self, a: u32, b: u32, half: DVec3) -> Quadric {
+        let (qa, qb) = (self.learnt[a as usize].unpack(), self.learnt[b as usize].unpack());
+        let (ga, gb) = (qa.product(half), qb.product(half));
+        let mut q = qa + qb;
+        q.b += ga - gb;
+        q.c += (ga + gb + 2.0 * (qa.b - qb.b)).dot(half);
+        q
     }
 
     /// The quadric, about the middle of the edge, of the faces that now meet at `a` or `b`, each counted once, and of the
@@ -140,15 +155,23 @@ impl<S: Coordinate> Surface<S> {
         q
     }
 
-    /// `A` of the faces around `v` and of the borders there.
+    /// The area-weighted planes of the faces around `v`, and the lines of the borders there. All pass through `v`, so that
+    /// only `A` is not zero.
     pub fn form_around(&self, around: &impl Around, v: u32, options: &Options) -> Quadric {
+        let at = self.at(v);
+        let star = around.of(v);
         let mut q = Quadric::default();
-        for &corner in around.of(v) {
-            q += plane_through(self.normal(corner / 3));
-            if self.odd(v) {
-                for u in [self.vertex(next(corner)), self.vertex(previous(corner))] {
-                    if self.odd(u) && self.shared(around, v, u).count() == 1 {
-                        q += border_line(self.at(u) - self.at(v), options.boundary_weight);
+        for &corner in star {
+            let (p, s) = self.ends(corner);
+            q += plane_through((self.at(p) - at).cross(self.at(s) - at));
+        }
+        if self.odd(v) {
+            for &corner in star {
+                let (p, s) = self.ends(corner);
+                for u in [p, s] {
+                    let faces = star.iter().map(|&c| self.ends(c)).filter(|&(p, s)| p == u || s == u).count();
+                    if faces == 1 {
+                        q += border_line(self.at(u) - at, options.boundary_weight);
                     }
                 }
             }
@@ -160,7 +183,7 @@ impl<S: Coordinate> Surface<S> {
     pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: DVec3) -> bool {
         let folds_at = |v: u32, other: u32| {
             around.of(v).iter().any(|&corner| {
-                let (p, q) = (self.vertex(next(corner)), self.vertex(previous(corner)));
+                let (p, q) = self.ends(corner);
                 if p == other || q == other {
                     return false;
                 }
@@ -190,6 +213,19 @@ impl<S: Coordinate> Surface<S> {
         self.costs = costs;
     }
 
+    /// Remembers that the collapse of an edge was refused.
+    pub fn refuse(&mut self, a: u32, b: u32) {
+        for &corner in self.stars.of(a) {
+            let (f, side) = parts(corner);
+            let face = self.faces[f];
+            for (from, u) in [(side, face[after(side)]), (before(side), face[before(side)])] {
+                if u == b && self.costs[f][from] < REFUSED {
+                    self.costs[f][from] = REFUSED;
+                }
+            }
+        }
+    }
+
     fn cost(&self, a: u32, b: u32, options: &Options) -> f32 {
         let cost = self.candidate(&self.stars, a, b, options).cost as f32;
         if cost < REFUSED { cost } else { REFUSED }
@@ -201,19 +237,16 @@ impl<S: Coordinate> Surface<S> {
             + self.learnt[b as usize].unpack().shifted(x - self.at(b))
     }
 
-    /// Starts to keep the quadrics of the current faces.
-    pub fn keep_current(&mut self, options: &Options) {
-        self.refresh_current(options, |_| true);
-    }
-
-    /// Recomputes the current quadrics of the vertices whose marks `stale` accepts.
-    pub fn refresh_current(&mut self, options: &Options, stale: impl Fn(u8) -> bool + Sync) {
+    /// Brings the quadrics of the current faces up to date, after the last round or for the first time.
+    pub fn renew_current(&mut self, options: &Options) {
         let mut current = std::mem::take(&mut self.current);
+        let all = current.is_empty();
         current.resize(self.positions.len(), [0.0; 6]);
         let this = &*self;
         current.par_iter_mut().enumerate().with_min_len(1024).for_each(|(v, form)| {
-            if stale(this.mark(v as u32)) {
-                *form = this.form_around(&this.stars, v as u32, options).a.map(|x| x as f32);
+            let v = v as u32;
+            if all || this.mark(v) & TOUCHED != 0 {
+                *form = this.form_around(&this.stars, v, options).a.map(|x| x as f32);
             }
         });
         self.current = current;
@@ -230,7 +263,8 @@ impl<S: Coordinate> Surface<S> {
 pub(super) fn turned(was: DVec3, would: DVec3) -> bool {
     let dot = was.dot(would);
     let both = was.length_squared() * would.length_squared();
-    both > 0.0 && (dot <= 0.0 || dot * dot < LEAST_COSINE * LEAST_COSINE * both) || was != DVec3::ZERO && would == DVec3::ZERO
+    both > 0.0 && (dot <= 0.0 || dot * dot < LEAST_COSINE * LEAST_COSINE * both)
+        || was != DVec3::ZERO && would == DVec3::ZERO
 }
 
 /// The area-weighted quadric of a face about one of its vertices, from `normal` = 2·area·n.

@@ -3,7 +3,7 @@
 use super::Options;
 use super::select::{NONE, order};
 use super::surface::{Around, ODD, Surface};
-use crate::mesh::adjacency::{Stars, next, previous};
+use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::{Coordinate, widen};
 use crate::{Result, progress::Progress};
 use rustc_hash::FxHashMap;
@@ -29,46 +29,36 @@ impl Around for Overlay {
 /// An edge in the heap: cost as bits (costs are never negative, so bits order as numbers do), then the tie-break.
 type Entry = Reverse<(u32, (u32, u32, u32))>;
 
-/// What a collapse may do to the faces around it.
-#[derive(Clone, Copy, PartialEq)]
-enum Folding {
-    Refused,
-    /// Nothing else is left: a face may fold over, so that the count is reached.
-    Allowed,
+/// How the tail ended.
+pub(super) struct End {
+    /// The largest squared error among the merged vertices.
+    pub error_sq: f64,
+    /// Whether faces had to be folded over.
+    pub folded: bool,
 }
 
-/// Collapses until at most `target` faces are left. Stops earlier where no collapse keeps the error bound. Returns the
-/// largest squared error among the merged vertices and whether faces had to be folded over.
-pub(super) fn finish<S: Coordinate>(
-    surface: &mut Surface<S>,
-    target: usize,
-    options: &Options,
-    progress: &Progress,
-) -> Result<(f64, bool)> {
+/// Collapses until at most `options.target` faces are left.
+pub(super) fn finish<S: Coordinate>(surface: &mut Surface<S>, options: &Options, progress: &Progress) -> Result<End> {
     let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
-    let mut tail =
-        Tail { left: surface.faces.len(), surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, target, options };
-    let mut folding = Folding::Refused;
+    let left = surface.faces.len();
+    let mut tail = Tail { left, surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, options };
+    // Collapses that may fold faces over: none, until nothing else is left; then a few, and the rest is tried again.
+    let mut may_fold = 0;
     let mut folded = false;
-    while tail.left > target {
+    while tail.left > options.target {
         let before = tail.left;
         tail.fill_heap();
-        tail.drain(folding, progress)?;
-        folded |= folding == Folding::Allowed && tail.left < before;
-        if tail.left == before {
-            if folding == Folding::Allowed || options.max_error < f64::INFINITY {
-                break;
-            }
-            folding = Folding::Allowed;
-        } else {
-            folding = Folding::Refused;
+        tail.drain(may_fold, progress)?;
+        let advanced = tail.left < before;
+        folded |= may_fold > 0 && advanced;
+        if !advanced && may_fold > 0 {
+            break;
         }
+        may_fold = if advanced { 0 } else { 1 + (tail.left - options.target) / 32 };
     }
-    let Tail { overlay, error_sq, .. } = tail;
-    surface.stars = overlay.stars;
-    surface.stars.release();
+    let error_sq = tail.error_sq;
     compact(surface);
-    Ok((error_sq, folded))
+    Ok(End { error_sq, folded })
 }
 
 struct Tail<'a, S> {
@@ -77,7 +67,6 @@ struct Tail<'a, S> {
     heap: BinaryHeap<Entry>,
     left: usize,
     error_sq: f64,
-    target: usize,
     options: &'a Options,
 }
 
@@ -108,9 +97,11 @@ impl<S: Coordinate> Tail<'_, S> {
         !self.overlay.of(v).is_empty()
     }
 
-    fn drain(&mut self, folding: Folding, progress: &Progress) -> Result<()> {
+    /// Collapses from the heap until it is empty or the count is reached, or `may_fold` (if not zero) collapses are done.
+    fn drain(&mut self, may_fold: usize, progress: &Progress) -> Result<()> {
+        let mut done = 0;
         let mut turns = 0u32;
-        while self.left > self.target {
+        while self.left > self.options.target {
             turns = turns.wrapping_add(1);
             if turns.is_multiple_of(4096) {
                 progress.check()?;
@@ -126,27 +117,26 @@ impl<S: Coordinate> Tail<'_, S> {
                 continue;
             }
             // On a manifold an edge has one or two faces, so the count falls to the target or one below it.
-            if shared > 2 && self.left - shared + 2 < self.target {
+            if shared > 2 && self.left - shared + 2 < self.options.target {
                 continue;
             }
-            self.try_collapse(a, b, folding);
-            if folding == Folding::Allowed {
+            done += usize::from(self.collapse(a, b, may_fold > 0));
+            if may_fold > 0 && done >= may_fold {
                 return Ok(());
             }
         }
         Ok(())
     }
 
-    fn try_collapse(&mut self, a: u32, b: u32, folding: Folding) {
+    /// Merges two vertices, unless a face would fold over. Returns whether it did.
+    fn collapse(&mut self, a: u32, b: u32, may_fold: bool) -> bool {
         let s = &*self.surface;
         let candidate = s.candidate(&self.overlay, a, b, self.options);
         let spot = s.spot(a, b, candidate.step);
         let merged = s.merged(a, b, widen(spot));
         let error_sq = if merged.w > 0.0 { merged.c / merged.w } else { 0.0 };
-        if error_sq > self.options.max_error * self.options.max_error
-            || folding == Folding::Refused && s.folds(&self.overlay, a, b, widen(spot))
-        {
-            return;
+        if !may_fold && s.folds(&self.overlay, a, b, widen(spot)) {
+            return false;
         }
         self.error_sq = self.error_sq.max(error_sq);
         let v = a as usize;
@@ -155,8 +145,8 @@ impl<S: Coordinate> Tail<'_, S> {
         let odd = self.surface.marks[b as usize].load(Relaxed) & ODD;
         self.surface.marks[v].fetch_or(odd, Relaxed);
         self.rewire(a, b);
-        self.cancel_fins(a);
         self.refresh(a);
+        true
     }
 
     /// Faces of `b` become `a`'s; faces of both go.
@@ -164,13 +154,13 @@ impl<S: Coordinate> Tail<'_, S> {
         let mut star = self.overlay.of(a).to_vec();
         star.extend_from_slice(self.overlay.of(b));
         for &corner in &star {
-            let face = &mut self.surface.faces[corner as usize / 3];
-            face[corner as usize % 3] = a;
+            let (f, side) = parts(corner);
+            self.surface.faces[f][side] = a;
         }
         let repeated = |face: [u32; 3]| face.iter().filter(|&&v| v == a).count() > 1;
         let gone: Vec<u32> =
-            star.iter().map(|c| c / 3).filter(|&f| repeated(self.surface.faces[f as usize])).collect();
-        star.retain(|c| !gone.contains(&(c / 3)));
+            star.iter().map(|c| c >> 2).filter(|&f| repeated(self.surface.faces[f as usize])).collect();
+        star.retain(|c| !gone.contains(&(c >> 2)));
         self.overlay.changed.insert(a, star);
         self.overlay.changed.insert(b, Vec::new());
         let mut gone = gone;
@@ -184,41 +174,25 @@ impl<S: Coordinate> Tail<'_, S> {
     fn remove(&mut self, f: u32) {
         for v in self.surface.faces[f as usize] {
             let mut star = self.overlay.of(v).to_vec();
-            star.retain(|c| c / 3 != f);
+            star.retain(|c| c >> 2 != f);
             self.overlay.changed.insert(v, star);
         }
         self.surface.faces[f as usize] = [NONE; 3];
         self.left -= 1;
     }
 
-    /// Drops pairs of opposite coincident faces at `v`, as long as the count allows.
-    fn cancel_fins(&mut self, v: u32) {
-        while self.left >= self.target + 2 {
-            let ends = |c: u32| (self.surface.vertex(next(c)), self.surface.vertex(previous(c)));
-            let star = self.overlay.of(v);
-            let pair = star.iter().enumerate().find_map(|(i, &c)| {
-                let (p, q) = ends(c);
-                star[..i].iter().find(|&&d| ends(d) == (q, p)).map(|&d| (c / 3, d / 3))
-            });
-            let Some((f, g)) = pair else { return };
-            self.remove(f);
-            self.remove(g);
-        }
-    }
-
     /// Renews the current quadrics around `v` and the entries of its edges.
     fn refresh(&mut self, v: u32) {
         let mut ring: Vec<u32> = Vec::new();
         for &c in self.overlay.of(v) {
-            ring.extend([self.surface.vertex(next(c)), self.surface.vertex(previous(c))]);
+            let (p, q) = self.surface.ends(c);
+            ring.extend([p, q]);
         }
         ring.sort_unstable();
         ring.dedup();
-        if !self.surface.current.is_empty() {
-            for &u in ring.iter().chain([&v]) {
-                let form = self.surface.form_around(&self.overlay, u, self.options);
-                self.surface.current[u as usize] = form.a.map(|x| x as f32);
-            }
+        for &u in ring.iter().chain([&v]) {
+            let form = self.surface.form_around(&self.overlay, u, self.options);
+            self.surface.current[u as usize] = form.a.map(|x| x as f32);
         }
         for u in ring {
             let entry = self.entry(v, u);

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-/// The star of every vertex, as one array: the corners (`3·face + side`) at vertex `v` are
-/// `corners[first[v]..first[v + 1]]`, in face order. 12 bytes a face and 4 a vertex.
+/// The star of every vertex, as one array: the corners at vertex `v` are `corners[first[v]..first[v + 1]]`, in face order.
+/// A corner is `4·face + side`, so that its parts come off by shifts. 12 bytes a face and 4 a vertex.
 #[derive(Debug, Default)]
 pub struct Stars {
     first: Vec<u32>,
@@ -15,9 +15,9 @@ pub struct Stars {
 const RANGES: usize = 4;
 
 impl Stars {
-    /// Rebuilds for `faces` over `vertices` vertices, reusing the memory. At most 2³²/3 faces.
+    /// Rebuilds for `faces` over `vertices` vertices, reusing the memory. At most [`MOST_FACES`].
     pub fn rebuild(&mut self, faces: &[[u32; 3]], vertices: usize) {
-        assert!(faces.len() <= u32::MAX as usize / 3, "a corner is numbered in 32 bits");
+        assert!(faces.len() <= MOST_FACES, "a corner is numbered in 32 bits");
         self.first.clear();
         self.first.resize(vertices + 1, 0);
         let ranges = RANGES.min(rayon::current_num_threads());
@@ -51,10 +51,12 @@ impl Stars {
         }
         parts.into_par_iter().enumerate().for_each(|(range, (base, cursors, part))| {
             let low = (range * span) as u32;
-            for (corner, &v) in faces.as_flattened().iter().enumerate() {
-                if let Some(cursor) = cursors.get_mut(v.wrapping_sub(low) as usize) {
-                    part[(*cursor - base) as usize] = corner as u32;
-                    *cursor += 1;
+            for (f, face) in faces.iter().enumerate() {
+                for (side, &v) in face.iter().enumerate() {
+                    if let Some(cursor) = cursors.get_mut(v.wrapping_sub(low) as usize) {
+                        part[(*cursor - base) as usize] = (f * 4 + side) as u32;
+                        *cursor += 1;
+                    }
                 }
             }
         });
@@ -72,16 +74,25 @@ impl Stars {
     }
 }
 
-/// The corner after `corner` in its face.
+/// Most faces that corners can be numbered for.
+pub const MOST_FACES: usize = 1 << 30;
+
+/// The face of a corner and its side there.
 #[inline(always)]
-pub fn next(corner: u32) -> u32 {
-    if corner % 3 == 2 { corner - 2 } else { corner + 1 }
+pub fn parts(corner: u32) -> (usize, usize) {
+    ((corner >> 2) as usize, (corner & 3) as usize)
 }
 
-/// The corner before `corner` in its face.
+/// The side after `side`.
 #[inline(always)]
-pub fn previous(corner: u32) -> u32 {
-    if corner.is_multiple_of(3) { corner + 2 } else { corner - 1 }
+pub fn after(side: usize) -> usize {
+    [1, 2, 0, 0][side & 3]
+}
+
+/// The side before `side`.
+#[inline(always)]
+pub fn before(side: usize) -> usize {
+    [2, 0, 1, 0][side & 3]
 }
 
 #[cfg(test)]
@@ -99,7 +110,7 @@ mod tests {
             for v in 0..121 {
                 assert!(stars.of(v).is_sorted());
                 for &c in stars.of(v) {
-                    assert_eq!(faces[c as usize / 3][c as usize % 3], v);
+                    assert_eq!(faces[parts(c).0][parts(c).1], v);
                     seen += 1;
                 }
             }

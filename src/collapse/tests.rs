@@ -1,0 +1,255 @@
+//! Whole collapses of literal and generated meshes.
+
+use super::*;
+use crate::mesh::{Extent, Frame, widen};
+use glam::DVec3;
+use std::collections::HashMap;
+
+fn options(target: usize) -> Options {
+    Options { target, max_error: f64::INFINITY, boundary_weight: 1.0 }
+}
+
+fn reduce(mesh: &IndexedMesh<f32>, target: usize) -> Collapsed<f32> {
+    collapse(mesh.clone(), None, &options(target), &Progress::default()).unwrap()
+}
+
+/// A sphere of `6·side²·2` faces: a cube's faces, pushed out, with `noise` times a hash added to the radius.
+fn sphere(side: u32, noise: f32) -> IndexedMesh<f32> {
+    let mut mesh = IndexedMesh::default();
+    let mut numbers: HashMap<[i32; 3], u32> = HashMap::new();
+    let n = side as i32;
+    for axis in 0..3 {
+        for sign in [-1, 1] {
+            let mut at = |i: i32, j: i32| {
+                let mut key = [0; 3];
+                (key[axis], key[(axis + 1) % 3], key[(axis + 2) % 3]) = (sign * n, 2 * i - n, 2 * j - n);
+                *numbers.entry(key).or_insert_with(|| {
+                    let p = DVec3::from(key.map(f64::from)).normalize();
+                    let h = (key[0] * 73 + key[1] * 179 + key[2] * 283).rem_euclid(101) as f64 / 101.0 - 0.5;
+                    mesh.positions.push(narrow(p * (0.4 + f64::from(noise) * h)));
+                    mesh.positions.len() as u32 - 1
+                })
+            };
+            let mut quads = Vec::new();
+            for i in 0..n {
+                for j in 0..n {
+                    let q = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+                    quads.push(if sign > 0 { q } else { [q[0], q[3], q[2], q[1]] });
+                }
+            }
+            for [a, b, c, d] in quads {
+                mesh.faces.extend([[a, b, c], [a, c, d]]);
+            }
+        }
+    }
+    mesh
+}
+
+fn narrow(p: DVec3) -> [f32; 3] {
+    crate::mesh::narrow(p)
+}
+
+/// A grid of `2·side²` faces over the unit square.
+fn grid(side: u32, height: impl Fn(f64, f64) -> f64) -> IndexedMesh<f32> {
+    let mut mesh = IndexedMesh::default();
+    for j in 0..=side {
+        for i in 0..=side {
+            let (x, y) = (f64::from(i) / f64::from(side), f64::from(j) / f64::from(side));
+            mesh.positions.push(narrow(DVec3::new(x, y, height(x, y))));
+        }
+    }
+    for j in 0..side {
+        for i in 0..side {
+            let a = j * (side + 1) + i;
+            mesh.faces.extend([[a, a + 1, a + side + 2], [a, a + side + 2, a + side + 1]]);
+        }
+    }
+    mesh
+}
+
+/// Signed counts of every undirected edge: (faces along it, faces against it).
+fn edges(mesh: &IndexedMesh<f32>) -> HashMap<(u32, u32), (u32, u32)> {
+    let mut edges = HashMap::new();
+    for f in &mesh.faces {
+        for i in 0..3 {
+            let (a, b) = (f[i], f[(i + 1) % 3]);
+            assert_ne!(a, b, "a face repeats a vertex");
+            let counts: &mut (u32, u32) = edges.entry((a.min(b), a.max(b))).or_default();
+            if a < b { counts.0 += 1 } else { counts.1 += 1 }
+        }
+    }
+    edges
+}
+
+fn volume(mesh: &IndexedMesh<f32>) -> f64 {
+    mesh.faces.iter().map(|f| mesh.at(f[0]).dot(mesh.at(f[1]).cross(mesh.at(f[2]))) / 6.0).sum()
+}
+
+#[test]
+fn a_sphere_stays_closed_round_and_outside_out() {
+    let scan = sphere(40, 0.002);
+    for target in [8000, 1501, 300, 60] {
+        let result = reduce(&scan, target);
+        assert_eq!(result.mesh.faces.len(), target & !1, "a closed manifold has an even count");
+        assert!(edges(&result.mesh).values().all(|&e| e == (1, 1)));
+        assert!(!result.folded);
+        let exact = 4.0 / 3.0 * std::f64::consts::PI * 0.4f64.powi(3);
+        let lost = 1.0 - volume(&result.mesh) / exact;
+        assert!(lost.abs() < 4.0 / target as f64 + 0.01, "{lost} of the volume lost at {target}");
+        for p in &result.mesh.positions {
+            assert!((widen(*p).length() - 0.4).abs() < 0.05);
+        }
+    }
+}
+
+#[test]
+fn flat_regions_collapse_in_few_rounds_and_keep_their_outline() {
+    let scan = grid(120, |_, _| 0.25);
+    let result = reduce(&scan, 2000);
+    assert!(result.mesh.faces.len() == 2000 || result.mesh.faces.len() == 1999);
+    assert!(result.rounds <= 30, "{} rounds", result.rounds);
+    let area: f64 = result
+        .mesh
+        .faces
+        .iter()
+        .map(|f| {
+            (result.mesh.at(f[1]) - result.mesh.at(f[0])).cross(result.mesh.at(f[2]) - result.mesh.at(f[0])).z / 2.0
+        })
+        .sum();
+    assert!((area - 1.0).abs() < 1e-3, "area {area}");
+    let mut extent = Extent::default();
+    result.mesh.positions.iter().for_each(|p| extent.include(widen(*p)));
+    assert!((extent.size() - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-3, "{extent:?}");
+}
+
+#[test]
+fn an_open_border_stays_a_single_loop_in_place() {
+    let scan = grid(60, |x, y| 0.1 * (7.0 * x).sin() * (5.0 * y).cos());
+    let result = reduce(&scan, 500);
+    assert_eq!(result.irregularities.border_edges, 240);
+    for (&(a, b), &counts) in &edges(&result.mesh) {
+        if counts.0 + counts.1 == 1 {
+            for v in [a, b] {
+                let p = result.mesh.at(v);
+                let off = [p.x, 1.0 - p.x, p.y, 1.0 - p.y].into_iter().fold(f64::INFINITY, |m, d| m.min(d.abs()));
+                assert!(off < 5e-3, "a border vertex {off} away from the border");
+            }
+        }
+    }
+}
+
+#[test]
+fn everything_can_go() {
+    for scan in [sphere(12, 0.01), grid(20, |x, _| x * x)] {
+        for target in [3, 2, 1, 0] {
+            let result = reduce(&scan, target);
+            assert!(result.mesh.faces.len() <= target && result.mesh.faces.len() + 1 >= target);
+        }
+        assert!(reduce(&scan, 0).mesh.positions.is_empty());
+    }
+}
+
+/// Three fins on one edge, doubled and flipped faces, a bow-tie vertex, faces without area.
+fn messy() -> IndexedMesh<f32> {
+    let mut mesh = sphere(16, 0.01);
+    let n = mesh.positions.len() as u32;
+    mesh.positions.extend([[0.5, 0.5, 0.5], [0.5, 0.1, 0.4], [0.1, 0.5, 0.45], [0.3, 0.3, 0.6]]);
+    let f = mesh.faces[100];
+    mesh.faces.extend([[f[0], f[1], n], [f[1], f[0], n + 1], [f[0], f[1], n + 2], [f[2], n, n + 3]]);
+    mesh.faces.extend([mesh.faces[200], mesh.faces[300], [f[0], f[2], f[1]]]);
+    let p = mesh.positions[f[0] as usize];
+    mesh.positions.push(p);
+    mesh.faces.push([f[0], n + 4, f[1]]);
+    mesh
+}
+
+#[test]
+fn what_is_not_manifold_is_taken_as_it_comes() {
+    let scan = messy();
+    for target in [1000, 501, 100, 10, 0] {
+        let result = reduce(&scan, target);
+        let count = result.mesh.faces.len();
+        assert!(count <= target && count + 2 >= target, "{count} for {target}");
+        assert!(result.mesh.positions.iter().flatten().all(|x| x.is_finite()));
+        assert!(result.irregularities.nonmanifold_edges > 0);
+    }
+}
+
+#[test]
+fn irregularities_are_counted() {
+    let square = grid(1, |_, _| 0.0);
+    assert_eq!(
+        reduce(&square, 2).irregularities,
+        Irregularities { border_edges: 4, nonmanifold_edges: 0, nonmanifold_vertices: 0 }
+    );
+    let tetrahedron = |base: u32| {
+        [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]].map(|f| f.map(|v: u32| if v == 0 { 0 } else { v + base }))
+    };
+    let mut bow = IndexedMesh::<f32> { positions: vec![[0.0; 3]; 7], faces: Vec::new() };
+    for (v, p) in bow.positions.iter_mut().enumerate().skip(1) {
+        *p = [v as f32, (v * v % 5) as f32, (v * 3 % 7) as f32];
+    }
+    bow.faces.extend(tetrahedron(0).into_iter().chain(tetrahedron(3)));
+    assert_eq!(
+        reduce(&bow, 8).irregularities,
+        Irregularities { border_edges: 0, nonmanifold_edges: 0, nonmanifold_vertices: 1 }
+    );
+}
+
+#[test]
+fn threads_change_nothing() {
+    let scans = [sphere(40, 0.004), grid(90, |x, y| (x * y).sqrt()), messy()];
+    for scan in &scans {
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| reduce(scan, scan.faces.len() / 12))
+        };
+        let one = run(1);
+        for threads in [2, 3, 8] {
+            assert!(run(threads) == one, "{threads} threads");
+        }
+    }
+}
+
+#[test]
+fn an_error_bound_ends_the_collapse() {
+    let scan = sphere(40, 0.0);
+    let bounded = |max_error: f64| {
+        let options = Options { target: 0, max_error, boundary_weight: 1.0 };
+        collapse(scan.clone(), None, &options, &Progress::default()).unwrap()
+    };
+    let (fine, coarse) = (bounded(1e-4), bounded(1e-2));
+    assert!(fine.error_estimate <= 1e-4 && coarse.error_estimate <= 1e-2);
+    assert!(fine.mesh.faces.len() > 2 * coarse.mesh.faces.len() && !coarse.mesh.faces.is_empty());
+    for p in &fine.mesh.positions {
+        assert!((widen(*p).length() - 0.4).abs() < 5e-4);
+    }
+}
+
+#[test]
+fn the_frame_makes_scale_irrelevant() {
+    let scan = sphere(30, 0.01);
+    let scaled = |factor: f32| {
+        let mut mesh = scan.clone();
+        let mut extent = Extent::default();
+        for p in &mut mesh.positions {
+            *p = p.map(|x| x * factor);
+            extent.include(widen(*p));
+        }
+        let frame = Frame::of(&extent);
+        for p in &mut mesh.positions {
+            *p = p.map(|x| frame.to_frame(f64::from(x)) as f32);
+        }
+        reduce(&mesh, 500).mesh
+    };
+    assert!(scaled(2f32.powi(-20)) == scaled(1.0) && scaled(2f32.powi(20)) == scaled(1.0));
+}
+
+#[test]
+fn carried_quadrics_are_used() {
+    let scan = sphere(24, 0.0);
+    let plain = reduce(&scan, 400);
+    let heavy = vec![PackedQuadric { c: 1e-4, w: 1.0, ..Default::default() }; scan.positions.len()];
+    let carried = collapse(scan, Some(heavy), &options(400), &Progress::default()).unwrap();
+    assert!(carried.error_estimate >= 1e-2 && plain.error_estimate < 1e-2);
+}
