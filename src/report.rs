@@ -283,6 +283,26 @@ impl MeshFile {
     }
 }
 
+/// What `synth` made.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Synthesis {
+    /// The scan that was written.
+    pub output: MeshFile,
+    /// Size of the file.
+    pub bytes: u64,
+    /// The seed: the same seed and count give the same bytes.
+    pub seed: u64,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+impl Synthesis {
+    /// One plain line.
+    pub fn line(&self) -> String {
+        format!("{}, {}, {:.2} s", self.output.line(), count(self.bytes, "byte"), self.seconds)
+    }
+}
+
 /// The JSON object of anything that is reported: `schema` and `version`, then its own keys. Numbers that are not finite
 /// come out as `null`.
 pub fn json(body: &impl Serialize) -> String {
@@ -294,7 +314,7 @@ pub fn json(body: &impl Serialize) -> String {
         body: &'a T,
     }
     let object = Object { schema: SCHEMA, version: env!("CARGO_PKG_VERSION"), body };
-    // Only maps with keys that are no strings fail to serialise, and no report has one.
+    // Only paths that are not Unicode and maps without string keys fail to serialise; what is reported has neither.
     serde_json::to_string(&object).unwrap_or_default()
 }
 
@@ -443,9 +463,7 @@ mod tests {
         let error = Error::input_at(Path::new("a.ply"), item, 99, "index 9, but the file has 9 vertices");
         let text = json(&Failure::from(&error));
         let message = "a.ply: face 7 (byte 99): index 9, but the file has 9 vertices";
-        let tail = format!(
-            r#""error":{{"code":"bad-input","message":"{message}","file":"a.ply","byte":99}}}}"#
-        );
+        let tail = format!(r#""error":{{"code":"bad-input","message":"{message}","file":"a.ply","byte":99}}}}"#);
         assert!(text.ends_with(&tail), "{text}");
         let text = json(&Failure::from(&Error::usage("no")));
         assert!(text.ends_with(r#""error":{"code":"usage","message":"no","file":null,"byte":null}}"#), "{text}");

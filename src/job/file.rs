@@ -31,7 +31,7 @@ use crate::budget::Size;
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobFile {
     /// What to reduce, to what, how far.
@@ -263,7 +263,9 @@ mod tests {
             assert!(error.contains(line) && error.contains(what), "{rest}: {error}");
         }
         assert!(JobFile::parse("").unwrap_err().contains("missing field `scan`"));
-        assert!(JobFile::parse("[scan]\ninput = ''\noutput = 'b'\nfaces = 1").unwrap_err().contains("`input` is empty"));
+        assert!(
+            JobFile::parse("[scan]\ninput = ''\noutput = 'b'\nfaces = 1").unwrap_err().contains("`input` is empty")
+        );
     }
 
     #[test]
