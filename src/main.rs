@@ -145,3 +145,27 @@ fn tell_stdout(text: &str, code: u8) -> ExitCode {
 fn tell_stderr(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use signal_hook::{consts::SIGTERM, low_level::raise};
+
+    #[test]
+    fn a_signal_ends_the_work_with_its_exit_code() {
+        let error = working(|progress| {
+            progress.check()?;
+            raise(SIGTERM).map_err(Error::io(Path::new("test"), "cannot raise"))?;
+            progress.check()
+        })
+        .unwrap_err();
+        assert_eq!(error.exit_code(), 143);
+    }
+
+    #[test]
+    fn json_is_asked_for_before_the_names_of_files() {
+        let args = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+        assert!(asks_for_json(&args(&["meshmill", "reduce", "--json"])));
+        assert!(!asks_for_json(&args(&["--json", "reduce", "--", "--json"])));
+    }
+}
