@@ -97,11 +97,11 @@ pub struct RunArgs {
 /// `meshmill synth`
 #[derive(Debug, Args)]
 pub struct SynthArgs {
-    /// The scan to write, binary: .ply
+    /// The scan to write, binary: .ply or .stl
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
 
-    /// About this many faces, like 500k or 28M
+    /// This many faces, like 500k or 28M (one fewer where that is odd)
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub faces: Count,
 
