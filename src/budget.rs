@@ -38,7 +38,7 @@ impl FromStr for Size {
         };
         let number: f64 = number.parse().map_err(|_| format!("`{text}` is not a size: write it like 512MiB"))?;
         let bytes = number * factor;
-        if !(bytes >= 1.0 && bytes < 9.0e18) {
+        if !(1.0..9.0e18).contains(&bytes) {
             return Err(format!("`{text}` is not a size that a machine can have"));
         }
         Ok(Size(bytes as u64))

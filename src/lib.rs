@@ -3,8 +3,12 @@
 pub mod budget;
 pub mod collapse;
 pub mod error;
+pub mod job;
 pub mod mesh;
+pub mod pipeline;
 pub mod progress;
 pub mod quadric;
+pub mod report;
+pub mod synth;
 
 pub use error::{Error, Result};

@@ -1,1 +1,171 @@
-fn main() {}
+//! The `meshmill` program: arguments in, exit code out. Nothing else prints.
+
+mod cli;
+mod terminal;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::time::Instant;
+
+use cli::{Cli, Command, RunArgs, SynthArgs};
+use meshmill::job::JobFile;
+use meshmill::progress::Progress;
+use meshmill::report::{Failure, MeshFile, Synthesis, json};
+use meshmill::{Error, Result, pipeline, synth};
+
+fn main() -> ExitCode {
+    let args: Vec<OsString> = std::env::args_os().collect();
+    match Cli::try_parse_from(&args) {
+        Ok(Cli { command: Command::Reduce(args) }) => reduce(args.into()),
+        Ok(Cli { command: Command::Run(args) }) => run(args),
+        Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
+        Err(error) => refuse(&error, asks_for_json(&args)),
+    }
+}
+
+/// What a finished command says: to scripts and to people.
+struct Saying {
+    object: String,
+    lines: Vec<String>,
+}
+
+fn reduce(said: JobFile) -> ExitCode {
+    let in_json = said.report.json == Some(true);
+    let outcome = said.resolve().and_then(|job| working(|progress| pipeline::reduce(&job, progress)));
+    conclude(outcome.map(|report| Saying { object: json(&report), lines: report.lines() }), in_json)
+}
+
+fn run(args: RunArgs) -> ExitCode {
+    match JobFile::read(&args.job) {
+        Ok(mut said) => {
+            let in_json = args.json || said.report.json == Some(true);
+            said.report.json = Some(in_json);
+            if args.dry_run { conclude(dry_run(said), in_json) } else { reduce(said) }
+        }
+        Err(error) => conclude(Err(error), args.json),
+    }
+}
+
+/// The job in full, as a job file that can be run from anywhere.
+fn dry_run(said: JobFile) -> Result<Saying> {
+    #[derive(serde::Serialize)]
+    struct Resolved {
+        job: JobFile,
+    }
+    let report = said.report.clone();
+    let mut job = JobFile { report, ..said.resolve()?.said() };
+    job.move_paths(|path| {
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
+        PathBuf::from(path.to_string_lossy().into_owned())
+    });
+    let text = toml::to_string(&job).map_err(|e| Error::usage(format!("the job cannot be shown: {e}")))?;
+    Ok(Saying { object: json(&Resolved { job }), lines: text.trim_end().lines().map(String::from).collect() })
+}
+
+fn make_scan(args: &SynthArgs) -> ExitCode {
+    let begun = Instant::now();
+    let outcome = working(|progress| synth::synth(&args.output, args.faces.0, args.seed, progress)).map(|made| {
+        let output = MeshFile { path: args.output.clone(), faces: made.faces, vertices: made.vertices };
+        let seconds = begun.elapsed().as_secs_f64();
+        let made = Synthesis { output, bytes: made.bytes, seed: args.seed, seconds };
+        Saying { object: json(&made), lines: vec![made.line()] }
+    });
+    conclude(outcome, args.json)
+}
+
+/// Works under a progress that is shown and that SIGINT and SIGTERM end.
+fn working<T>(work: impl FnOnce(&Progress) -> Result<T>) -> Result<T> {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let signal = Arc::new(AtomicUsize::new(0));
+    for number in [SIGINT, SIGTERM] {
+        signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
+            .map_err(Error::io(Path::new("signals"), "cannot be handled"))?;
+    }
+    let progress = Progress::cancelled_by(signal);
+    terminal::showing(&progress, || work(&progress))
+}
+
+/// Says how it went: with `--json` one object is all that stdout gets.
+fn conclude(outcome: Result<Saying>, in_json: bool) -> ExitCode {
+    match outcome {
+        Ok(Saying { object, lines }) if in_json => {
+            tell_stderr(&lines.join("\n"));
+            tell_stdout(&object, 0)
+        }
+        Ok(Saying { lines, .. }) => tell_stdout(&lines.join("\n"), 0),
+        Err(error) => {
+            tell_stderr(&format!("meshmill: {error}"));
+            let code = error.exit_code();
+            if in_json { tell_stdout(&json(&Failure::from(&error)), code) } else { ExitCode::from(code) }
+        }
+    }
+}
+
+/// Help and version as asked, or what is wrong with the command line.
+fn refuse(error: &clap::Error, in_json: bool) -> ExitCode {
+    // A closed stdout or stderr is no reason to fail: nobody listens.
+    let _ = error.print();
+    match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => ExitCode::SUCCESS,
+        _ if in_json => {
+            let text = error.render().to_string();
+            let text = text.split("\n\nUsage:").next().unwrap_or_default();
+            let text = text.strip_prefix("error: ").unwrap_or(text).trim();
+            let error = Error::usage(text);
+            tell_stdout(&json(&Failure::from(&error)), error.exit_code())
+        }
+        _ => ExitCode::from(2),
+    }
+}
+
+/// Whether a command line that could not be parsed asks for JSON.
+fn asks_for_json(args: &[OsString]) -> bool {
+    args.iter().skip(1).take_while(|arg| *arg != "--").any(|arg| arg == "--json")
+}
+
+/// Prints, and gives the exit code: a reader that went away changes nothing, a full disk under stdout does.
+fn tell_stdout(text: &str, code: u8) -> ExitCode {
+    let mut stdout = std::io::stdout().lock();
+    match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            tell_stderr(&format!("meshmill: cannot write to stdout: {e}"));
+            ExitCode::from(code.max(1))
+        }
+        _ => ExitCode::from(code),
+    }
+}
+
+/// Prints; where nobody can hear, that is no reason to fail.
+fn tell_stderr(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use signal_hook::{consts::SIGTERM, low_level::raise};
+
+    #[test]
+    fn a_signal_ends_the_work_with_its_exit_code() {
+        let error = working(|progress| {
+            progress.check()?;
+            raise(SIGTERM).map_err(Error::io(Path::new("test"), "cannot raise"))?;
+            progress.check()
+        })
+        .unwrap_err();
+        assert_eq!(error.exit_code(), 143);
+    }
+
+    #[test]
+    fn json_is_asked_for_before_the_names_of_files() {
+        let args = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+        assert!(asks_for_json(&args(&["meshmill", "reduce", "--json"])));
+        assert!(!asks_for_json(&args(&["--json", "reduce", "--", "--json"])));
+    }
+}

@@ -1,0 +1,127 @@
+//! The command line, as typed: what each word means is `job`'s business.
+
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+
+use meshmill::budget::Size;
+use meshmill::job::{Count, JobFile, Length, Ratio, ReportTable, RunTable, ScanTable, Threads};
+
+/// Reduces huge meshes to the face count you ask for, in fixed memory
+#[derive(Debug, Parser)]
+#[command(version, subcommand_required = true, arg_required_else_help = true)]
+#[command(
+    after_help = "Exit codes: 0 done as asked; 1 a scan failed or an ask was not met; 2 the command or job file is \
+                        wrong, or the budget too small; 130 and 143 after SIGINT and SIGTERM."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Reduce one scan
+    Reduce(ReduceArgs),
+    /// Reduce what a job file says
+    Run(RunArgs),
+    /// Make a realistic scan of any size
+    Synth(SynthArgs),
+}
+
+/// `meshmill reduce`
+#[derive(Debug, Args)]
+pub struct ReduceArgs {
+    /// The scan: PLY or STL, binary or ASCII
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// The mesh to write, binary: .ply or .stl
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+
+    #[command(flatten)]
+    target: TargetArgs,
+
+    /// Bound on the whole process's peak resident memory, like 512MiB or 2GiB [default: 512MiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    memory: Option<Size>,
+
+    /// Worker threads; the result does not depend on them [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    threads: Option<Threads>,
+
+    /// Folder for spills [default: OUT's folder]
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    json: bool,
+}
+
+/// How far to reduce: one of three.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+struct TargetArgs {
+    /// At most this many faces, like 140000, 500k or 2.5M
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    faces: Option<Count>,
+
+    /// At most this share of the scan's faces, like 0.1 or 10%
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
+    ratio: Option<Ratio>,
+
+    /// As few faces as keep this distance, in the scan's units, as estimated
+    #[arg(long, value_name = "LENGTH", allow_negative_numbers = true)]
+    max_error: Option<Length>,
+}
+
+/// `meshmill run`
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// The job file; the paths in it are relative to its folder
+    #[arg(value_name = "JOB.toml")]
+    pub job: PathBuf,
+
+    /// Print the job with every default filled in, and do nothing
+    #[arg(long)]
+    pub dry_run: bool,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `meshmill synth`
+#[derive(Debug, Args)]
+pub struct SynthArgs {
+    /// The scan to write, binary: .ply or .stl
+    #[arg(value_name = "OUT")]
+    pub output: PathBuf,
+
+    /// This many faces, like 500k or 28M (one fewer where that is odd)
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub faces: Count,
+
+    /// The same seed and count give the same bytes
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub seed: u64,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl From<ReduceArgs> for JobFile {
+    fn from(args: ReduceArgs) -> Self {
+        let TargetArgs { faces, ratio, max_error } = args.target;
+        JobFile {
+            scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
+            run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
+            report: ReportTable { json: Some(args.json) },
+            ..Default::default()
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! The job file: what was *said*, table by table, before defaults and checks across tables.
+//!
+//! ```toml
+//! [scan]
+//! input = "scan.ply"        # relative to this file's folder
+//! output = "small.ply"
+//! faces = "500k"            # or ratio = "10%", or max_error = 0.05
+//!
+//! [run]                     # everything from here on may be left out
+//! memory = "512MiB"
+//! threads = 2
+//! scratch = "fast-disk"
+//!
+//! [cluster]
+//! representative = "quadric"
+//!
+//! [collapse]
+//! boundary_weight = 1.0
+//!
+//! [report]
+//! json = false
+//! ```
+
+use serde::{Deserialize, Deserializer, Serialize, de};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::quantity::{Count, Length, Ratio, Threads, Weight, as_written, write_size};
+use super::{Representative, Target};
+use crate::budget::Size;
+use crate::error::{Error, Result};
+
+/// A job as it was said, in a file or on the command line.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobFile {
+    /// What to reduce, to what, how far.
+    #[serde(deserialize_with = "scan_with_one_target")]
+    pub scan: ScanTable,
+    /// What the run may use.
+    #[serde(default)]
+    pub run: RunTable,
+    /// The clustering stage.
+    #[serde(default)]
+    pub cluster: ClusterTable,
+    /// The collapse stage.
+    #[serde(default)]
+    pub collapse: CollapseTable,
+    /// How the run reports.
+    #[serde(default)]
+    pub report: ReportTable,
+}
+
+/// `[scan]`
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScanTable {
+    /// The scan to read.
+    pub input: PathBuf,
+    /// The mesh to write; its extension names the format.
+    pub output: PathBuf,
+    /// Target: this many faces.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub faces: Option<Count>,
+    /// Target: this share of the scan's faces.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub ratio: Option<Ratio>,
+    /// Target: as few faces as keep within this distance of the scan.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub max_error: Option<Length>,
+}
+
+/// `[run]`
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunTable {
+    /// Bound on the peak resident set.
+    #[serde(default, deserialize_with = "as_written", serialize_with = "write_size")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory: Option<Size>,
+    /// Worker threads.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub threads: Option<Threads>,
+    /// Folder for spills.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scratch: Option<PathBuf>,
+}
+
+/// `[cluster]`
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClusterTable {
+    /// Where a cell's representative goes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub representative: Option<Representative>,
+}
+
+/// `[collapse]`
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CollapseTable {
+    /// Weight of the constraint that holds open borders in place, as a factor of the squared edge length.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub boundary_weight: Option<Weight>,
+}
+
+/// `[report]`
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReportTable {
+    /// One JSON object on stdout instead of words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub json: Option<bool>,
+}
+
+/// Every key and the table it belongs under, to tell where a misplaced one should go.
+const KEYS: [(&str, &[&str]); 5] = [
+    ("scan", &["input", "output", "faces", "ratio", "max_error"]),
+    ("run", &["memory", "threads", "scratch"]),
+    ("cluster", &["representative"]),
+    ("collapse", &["boundary_weight"]),
+    ("report", &["json"]),
+];
+
+/// No job is longer; whatever is, is not a job file.
+const LONGEST_BYTES: u64 = 1 << 20;
+
+impl JobFile {
+    /// Reads a job file; the paths it names become relative to its folder.
+    pub fn read(path: &Path) -> Result<JobFile> {
+        let wrong = |what: String| Error::Usage { what, file: Some(path.into()) };
+        let mut text = String::new();
+        std::fs::File::open(path)
+            .and_then(|file| file.take(LONGEST_BYTES + 1).read_to_string(&mut text))
+            .map_err(|e| wrong(format!("{}: cannot read the job file: {e}", path.display())))?;
+        if text.len() as u64 > LONGEST_BYTES {
+            return Err(wrong(format!("{}: not a job file: it is longer than {LONGEST_BYTES} bytes", path.display())));
+        }
+        let mut said = Self::parse(&text).map_err(|what| wrong(format!("{}: {what}", path.display())))?;
+        if let Some(folder) = path.parent() {
+            said.move_paths(|p| folder.join(p));
+        }
+        Ok(said)
+    }
+
+    /// Reads the text of a job file. A failure shows the line and, where a word is wrong, what was likely meant.
+    pub fn parse(text: &str) -> std::result::Result<JobFile, String> {
+        toml::from_str(text).map_err(|e| {
+            let mut what = e.to_string().trim_end().to_string();
+            if let Some(hint) = hint(e.message()) {
+                what.push_str("; ");
+                what.push_str(&hint);
+            }
+            what
+        })
+    }
+
+    /// Rewrites every path.
+    pub fn move_paths(&mut self, to: impl Fn(&Path) -> PathBuf) {
+        for path in [&mut self.scan.input, &mut self.scan.output].into_iter().chain(&mut self.run.scratch) {
+            *path = to(path);
+        }
+    }
+}
+
+impl ScanTable {
+    /// The one target that was said.
+    pub fn target(&self) -> std::result::Result<Target, String> {
+        match (self.faces, self.ratio, self.max_error) {
+            (Some(Count(n)), None, None) => Ok(Target::Faces(n)),
+            (None, Some(Ratio(r)), None) => Ok(Target::Ratio(r)),
+            (None, None, Some(Length(x))) => Ok(Target::MaxError(x)),
+            (None, None, None) => Err("no target: say one of faces, ratio and max_error".into()),
+            _ => Err("more than one target: say only one of faces, ratio and max_error".into()),
+        }
+    }
+}
+
+/// Checked while the table is being read, so that the error points at it.
+fn scan_with_one_target<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<ScanTable, D::Error> {
+    let scan = ScanTable::deserialize(input)?;
+    scan.target().map_err(de::Error::custom)?;
+    for (path, key) in [(&scan.input, "input"), (&scan.output, "output")] {
+        if path.as_os_str().is_empty() {
+            return Err(de::Error::custom(format_args!("`{key}` is empty")));
+        }
+    }
+    Ok(scan)
+}
+
+/// What was likely meant by an unknown word, from the parser's message: the wrong word in backticks, then the right ones.
+fn hint(message: &str) -> Option<String> {
+    if !message.starts_with("unknown ") {
+        return None;
+    }
+    let mut words = message.split('`').skip(1).step_by(2);
+    let wrong = words.next()?;
+    let near = |word: &&str| strsim::damerau_levenshtein(wrong, word);
+    if let Some((table, _)) = KEYS.iter().find(|(_, keys)| keys.contains(&wrong)) {
+        return Some(format!("`{wrong}` belongs under [{table}]"));
+    }
+    let best = words.min_by_key(near).filter(|word| near(word) <= 1 + word.len() / 4);
+    best.map(|word| format!("did you mean `{word}`?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SCAN: &str = "[scan]\ninput = 'a.ply'\noutput = 'b.ply'\n";
+
+    fn with(rest: &str) -> std::result::Result<JobFile, String> {
+        JobFile::parse(&format!("{SCAN}{rest}"))
+    }
+
+    #[test]
+    fn every_key_is_known_under_its_table_and_under_no_other() {
+        for (table, keys) in KEYS {
+            for key in keys {
+                let text = format!("[{table}]\n{key} = []");
+                assert!(!JobFile::parse(&text).unwrap_err().contains("unknown field"), "{table}.{key}");
+            }
+        }
+        let error = with("faces = 9\nmemory = '1GiB'").unwrap_err();
+        assert!(error.contains("line 5, column 1") && error.ends_with("`memory` belongs under [run]"), "{error}");
+    }
+
+    #[test]
+    fn a_slip_of_the_keyboard_is_named_with_its_line() {
+        for (rest, line, meant) in [
+            ("fcaes = 9", "line 4", "faces"),
+            ("faces = 9\n[run]\nmemroy = 1", "line 6", "memory"),
+            ("faces = 9\n[clutser]", "line 5", "cluster"),
+            ("faces = 9\n[cluster]\nrepresentative = 'quadrics'", "line 6", "quadric"),
+        ] {
+            let error = with(rest).unwrap_err();
+            assert!(error.contains(line) && error.contains('^'), "{error}");
+            assert!(error.ends_with(&format!("did you mean `{meant}`?")), "{error}");
+        }
+        let error = with("faces = 9\nzebra = 1").unwrap_err();
+        assert!(error.contains("unknown field `zebra`") && !error.contains("did you mean"), "{error}");
+    }
+
+    #[test]
+    fn wrong_values_are_named_with_their_line() {
+        for (rest, line, what) in [
+            ("faces = -5", "line 4", "not a count"),
+            ("faces = 1.5", "line 4", "not a whole number"),
+            ("faces = '10%'", "line 4", "is a ratio"),
+            ("ratio = 1.5", "line 4", "not a ratio"),
+            ("ratio = 0", "line 4", "not a ratio"),
+            ("max_error = inf", "line 4", "not a length"),
+            ("max_error = '0'", "line 4", "not a length"),
+            ("faces = true", "line 4", "expected a number"),
+            ("faces = 1\n[run]\nthreads = 0", "line 6", "not a number of threads"),
+            ("faces = 1\n[run]\nmemory = '12 parsecs'", "line 6", "not a size"),
+            ("faces = 1\n[collapse]\nboundary_weight = -1", "line 6", "not a weight"),
+            ("faces = 1\nfaces = 2", "line 5", "duplicate"),
+            ("faces = 1\nratio = 0.5", "line 1", "more than one target"),
+            ("", "line 1", "no target"),
+        ] {
+            let error = with(rest).unwrap_err();
+            assert!(error.contains(line) && error.contains(what), "{rest}: {error}");
+        }
+        assert!(JobFile::parse("").unwrap_err().contains("missing field `scan`"));
+        assert!(
+            JobFile::parse("[scan]\ninput = ''\noutput = 'b'\nfaces = 1").unwrap_err().contains("`input` is empty")
+        );
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let text = "max_error = '1e-12'\n[run]\nmemory = 77\nthreads = 3\nscratch = 's'\n[cluster]\n\
+                    representative = 'mean'\n[collapse]\nboundary_weight = 0.1\n[report]\njson = true";
+        let said = with(text).unwrap();
+        assert_eq!(said.run.memory, Some(Size(77)));
+        assert_eq!(JobFile::parse(&toml::to_string(&said).unwrap()).unwrap(), said);
+    }
+}

@@ -1,0 +1,181 @@
+//! A job: what was said ([`JobFile`], from a file or the command line) and what will be done ([`Job`], resolved).
+
+mod file;
+mod quantity;
+
+pub use file::{ClusterTable, CollapseTable, JobFile, ReportTable, RunTable, ScanTable};
+pub use quantity::{Count, Length, Ratio, Threads, Weight};
+
+use serde::{Deserialize, Serialize};
+use std::num::NonZero;
+use std::path::{Path, PathBuf};
+
+use crate::budget::{MIB, Size};
+use crate::error::{Error, Result};
+
+/// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
+pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
+
+/// How strongly open borders are held when nothing is said.
+pub const DEFAULT_BOUNDARY_WEIGHT: f64 = 1.0;
+
+/// How far to reduce.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Target {
+    /// To the first count at or below this many faces.
+    Faces(u64),
+    /// To this share of the scan's faces, above 0 and up to 1.
+    Ratio(f64),
+    /// To as few faces as keep the estimated largest distance, both ways, within this length in the scan's units.
+    MaxError(f64),
+}
+
+impl Target {
+    /// The count that is asked of a scan of `scan_faces` faces; `None` where a distance is asked instead.
+    pub fn faces(self, scan_faces: u64) -> Option<u64> {
+        match self {
+            Target::Faces(n) => Some(n),
+            Target::Ratio(r) => Some(share_of(scan_faces, r)),
+            Target::MaxError(_) => None,
+        }
+    }
+}
+
+/// `⌊faces × ratio⌋` of the ratio as it is written in decimals: 29 % of 100 is 29, though `100.0 * 0.29` is below it.
+fn share_of(faces: u64, ratio: f64) -> u64 {
+    let written = ratio.to_string();
+    let (whole, decimals) = written.split_once('.').unwrap_or((&written, ""));
+    let digits: Option<u128> = format!("{whole}{decimals}").parse().ok();
+    let scale = u32::try_from(decimals.len()).ok().and_then(|n| 10u128.checked_pow(n));
+    let share = match (digits.and_then(|d| d.checked_mul(u128::from(faces))), scale) {
+        (Some(product), Some(scale)) => product / scale,
+        // A ratio with more than 38 decimals: no scan has a face's worth of difference there.
+        _ => (faces as f64 * ratio) as u128,
+    };
+    u64::try_from(share).unwrap_or(faces).min(faces)
+}
+
+/// Where the representative of a cell goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Representative {
+    /// Where the cell's quadric is least, kept within the cell.
+    #[default]
+    Quadric,
+    /// At the weighted mean of what fell into the cell.
+    Mean,
+}
+
+/// A job with every default filled in and every value checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// The scan to read.
+    pub input: PathBuf,
+    /// The mesh to write.
+    pub output: PathBuf,
+    /// How far to reduce.
+    pub target: Target,
+    /// Bound on the whole process's peak resident set.
+    pub memory: Size,
+    /// Worker threads, at least 1; changes nothing in the result.
+    pub threads: usize,
+    /// Folder for spills; [`Job::scratch_folder`] fills in the default.
+    pub scratch: Option<PathBuf>,
+    /// How clustering places a cell's vertex.
+    pub representative: Representative,
+    /// Weight of the constraint that holds open borders in place.
+    pub boundary_weight: f64,
+}
+
+impl JobFile {
+    /// Fills in the defaults.
+    pub fn resolve(self) -> Result<Job> {
+        Ok(Job {
+            target: self.scan.target().map_err(Error::usage)?,
+            input: self.scan.input,
+            output: self.scan.output,
+            memory: self.run.memory.unwrap_or(DEFAULT_MEMORY),
+            threads: self.run.threads.map_or_else(cores, |Threads(n)| n),
+            scratch: self.run.scratch,
+            representative: self.cluster.representative.unwrap_or_default(),
+            boundary_weight: self.collapse.boundary_weight.map_or(DEFAULT_BOUNDARY_WEIGHT, |Weight(w)| w),
+        })
+    }
+}
+
+/// The cores that this process may use.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, NonZero::get).min(Threads::MOST)
+}
+
+impl Job {
+    /// The folder for spills: the one that was said, otherwise the target's.
+    pub fn scratch_folder(&self) -> &Path {
+        match (&self.scratch, self.output.parent()) {
+            (Some(folder), _) => folder,
+            (None, Some(folder)) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        }
+    }
+
+    /// The job file that says this job in full: nothing is left to a default.
+    pub fn said(&self) -> JobFile {
+        let mut scan = ScanTable { input: self.input.clone(), output: self.output.clone(), ..Default::default() };
+        match self.target {
+            Target::Faces(n) => scan.faces = Some(Count(n)),
+            Target::Ratio(r) => scan.ratio = Some(Ratio(r)),
+            Target::MaxError(x) => scan.max_error = Some(Length(x)),
+        }
+        JobFile {
+            scan,
+            run: RunTable {
+                memory: Some(self.memory),
+                threads: Some(Threads(self.threads)),
+                scratch: Some(self.scratch_folder().into()),
+            },
+            cluster: ClusterTable { representative: Some(self.representative) },
+            collapse: CollapseTable { boundary_weight: Some(Weight(self.boundary_weight)) },
+            report: ReportTable::default(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(rest: &str) -> Job {
+        JobFile::parse(&format!("[scan]\ninput = 'in/a.ply'\noutput = 'out/b.ply'\n{rest}")).unwrap().resolve().unwrap()
+    }
+
+    #[test]
+    fn defaults_are_filled_in() {
+        let job = job("faces = '140k'");
+        assert_eq!((job.target, job.memory), (Target::Faces(140_000), Size(512 << 20)));
+        assert!(job.threads >= 1);
+        assert_eq!(job.scratch_folder(), Path::new("out"));
+        assert_eq!((job.representative, job.boundary_weight), (Representative::Quadric, 1.0));
+    }
+
+    #[test]
+    fn what_is_said_is_kept() {
+        let job = job("ratio = '10%'\n[run]\nmemory = '1.5GiB'\nthreads = 3\nscratch = 's'\n[cluster]\n\
+                       representative = 'mean'\n[collapse]\nboundary_weight = 4");
+        assert_eq!((job.target, job.memory, job.threads), (Target::Ratio(0.1), Size(3 << 29), 3));
+        assert_eq!((job.scratch_folder(), job.boundary_weight), (Path::new("s"), 4.0));
+        assert_eq!(job.representative, Representative::Mean);
+        assert_eq!(job.said().resolve().unwrap(), job);
+    }
+
+    #[test]
+    fn a_share_is_rounded_down_from_its_decimals() {
+        for (faces, ratio, share) in
+            [(100, 0.29, 29), (69_451, 0.1, 6945), (5, 1.0, 5), (3, 0.333, 0), (u64::MAX, 1.0, u64::MAX)]
+        {
+            assert_eq!(Target::Ratio(ratio).faces(faces), Some(share), "{ratio} of {faces}");
+        }
+        assert_eq!(Target::Ratio(1e-300).faces(1 << 40), Some(0));
+        assert_eq!(Target::Ratio(f64::from_bits(1.0f64.to_bits() - 1)).faces(u64::MAX), Some(u64::MAX - 1845));
+        assert_eq!(Target::MaxError(1.0).faces(9), None);
+    }
+}
