@@ -5,5 +5,8 @@ pub mod error;
 pub mod mesh;
 pub mod progress;
 pub mod quadric;
+pub mod scratch;
+pub mod synth;
+pub mod write;
 
 pub use error::{Error, Result};
