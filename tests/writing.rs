@@ -210,7 +210,7 @@ fn made_scans_are_closed_outward_and_of_the_count_asked() {
         let euler = positions.len() as i64 - edges.len() as i64 / 2 + faces.len() as i64;
         assert_eq!(euler, 2, "{asked} faces");
 
-        // Numbered as first used, each used.
+        // No vertex is there for nothing.
         let mut used = vec![false; positions.len()];
         faces.iter().flatten().for_each(|&v| used[v as usize] = true);
         assert!(used.iter().all(|&u| u), "{asked} faces");
