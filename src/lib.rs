@@ -9,6 +9,8 @@ pub mod pipeline;
 pub mod progress;
 pub mod quadric;
 pub mod report;
+pub mod scratch;
 pub mod synth;
+pub mod write;
 
 pub use error::{Error, Result};

@@ -1,0 +1,151 @@
+//! Scratch files: space on disk for what memory does not hold.
+//!
+//! They have no name (unlinked, or never linked), so that nothing is left of them however a run ends.
+
+use crate::error::{Error, Result};
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// The folder in which a run's scratch files are made, and how much they took.
+#[derive(Debug, Clone)]
+pub struct Scratch {
+    folder: Arc<PathBuf>,
+    counts: Arc<Counts>,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    written: AtomicU64,
+    held: AtomicU64,
+    peak: AtomicU64,
+}
+
+impl Scratch {
+    /// Scratch files will be made in `folder`; nothing is touched yet.
+    pub fn in_folder(folder: &Path) -> Scratch {
+        // The folder that a bare file name is in has the empty path.
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        Scratch { folder: Arc::new(folder.to_path_buf()), counts: Arc::default() }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// A new, empty file.
+    pub fn file(&self) -> Result<ScratchFile> {
+        let file = tempfile::tempfile_in(&*self.folder)
+            .map_err(Error::io(&self.folder, "cannot make a scratch file in this folder"))?;
+        Ok(ScratchFile { file, length: AtomicU64::new(0), scratch: self.clone() })
+    }
+
+    /// The most bytes that scratch files have held at one time.
+    pub fn bytes(&self) -> u64 {
+        self.counts.peak.load(Relaxed)
+    }
+
+    /// Bytes written in all, whether or not over others.
+    pub fn written(&self) -> u64 {
+        self.counts.written.load(Relaxed)
+    }
+}
+
+/// A file without a name. Threads write and read it side by side, each at its own offsets.
+#[derive(Debug)]
+pub struct ScratchFile {
+    file: File,
+    length: AtomicU64,
+    scratch: Scratch,
+}
+
+impl ScratchFile {
+    /// Writes all of `bytes` at `offset`.
+    pub fn write_all_at(&self, bytes: &[u8], offset: u64) -> Result<()> {
+        self.file
+            .write_all_at(bytes, offset)
+            .map_err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder"))?;
+        let counts = &self.scratch.counts;
+        counts.written.fetch_add(bytes.len() as u64, Relaxed);
+        let end = offset + bytes.len() as u64;
+        let before = self.length.fetch_max(end, Relaxed);
+        if end > before {
+            let held = counts.held.fetch_add(end - before, Relaxed) + (end - before);
+            counts.peak.fetch_max(held, Relaxed);
+        }
+        Ok(())
+    }
+
+    /// Fills `bytes` from `offset`.
+    pub fn read_exact_at(&self, bytes: &mut [u8], offset: u64) -> Result<()> {
+        self.file
+            .read_exact_at(bytes, offset)
+            .map_err(Error::io(&self.scratch.folder, "cannot read a scratch file in this folder"))
+    }
+
+    /// The end of what was written.
+    pub fn length(&self) -> u64 {
+        self.length.load(Relaxed)
+    }
+
+    /// The file itself, for mapping.
+    pub fn as_file(&self) -> &File {
+        &self.file
+    }
+}
+
+impl Drop for ScratchFile {
+    fn drop(&mut self) {
+        self.scratch.counts.held.fetch_sub(*self.length.get_mut(), Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_share_a_file_and_the_counts_add_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_folder(folder.path());
+        let file = scratch.file().unwrap();
+        std::thread::scope(|threads| {
+            for part in 0..4u8 {
+                let file = &file;
+                threads.spawn(move || {
+                    for piece in 0..16 {
+                        file.write_all_at(&[part; 100], (u64::from(part) + 4 * piece) * 100).unwrap();
+                    }
+                });
+            }
+        });
+        let mut bytes = vec![0; 6400];
+        file.read_exact_at(&mut bytes, 0).unwrap();
+        assert!(bytes.chunks(100).enumerate().all(|(i, piece)| piece == [(i % 4) as u8; 100]));
+        assert_eq!((file.length(), scratch.bytes(), scratch.written()), (6400, 6400, 6400));
+
+        let second = scratch.file().unwrap();
+        second.write_all_at(&[1; 50], 0).unwrap();
+        second.write_all_at(&[2; 50], 0).unwrap();
+        assert_eq!((scratch.bytes(), scratch.written()), (6450, 6500));
+        drop((file, second));
+        let third = scratch.file().unwrap();
+        third.write_all_at(&[1; 60], 0).unwrap();
+        assert_eq!(scratch.bytes(), 6450, "space given back is not counted twice");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn errors_name_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let gone = folder.path().join("gone");
+        let error = Scratch::in_folder(&gone).file().unwrap_err();
+        assert_eq!((error.code(), error.file()), ("io", Some(gone.as_path())));
+        let file = Scratch::in_folder(folder.path()).file().unwrap();
+        let error = file.read_exact_at(&mut [0; 4], 0).unwrap_err();
+        assert_eq!(error.file(), Some(folder.path()));
+    }
+}
