@@ -5,5 +5,6 @@ pub mod error;
 pub mod mesh;
 pub mod progress;
 pub mod quadric;
+pub mod read;
 
 pub use error::{Error, Result};
