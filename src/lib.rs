@@ -8,6 +8,7 @@ pub mod mesh;
 pub mod pipeline;
 pub mod progress;
 pub mod quadric;
+pub mod read;
 pub mod report;
 pub mod scratch;
 pub mod synth;
