@@ -1,11 +1,251 @@
 //! read → cluster → collapse → write: the order in which a scan goes through the mill.
 
+use crate::cluster::{ClusterOptions, ClusterStats, cluster};
+use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::Job;
-use crate::progress::Progress;
-use crate::report::Report;
+use crate::mesh::{Coordinate, Frame, IndexedMesh};
+use crate::plan::{LEAST_RATIO, Plan, Purse};
+use crate::progress::{Progress, Stage};
+use crate::quadric::PackedQuadric;
+use crate::read::{Crew, LoadReport, Scalar, Scan, load};
+use crate::report::{MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
+use crate::scratch::Scratch;
+use crate::write;
+use std::time::Instant;
 
 /// Reduces one scan as `job` says, and reports.
-pub fn reduce(job: &Job, _progress: &Progress) -> Result<Report> {
-    Err(Error::Unmet { file: job.input.clone(), what: "this build has no stages yet".into() })
+pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(job.threads)
+        .build()
+        .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", job.threads)))?;
+    pool.install(|| {
+        let begun = Instant::now();
+        progress.begin(Stage::Read, 0);
+        let out = write::Target::prepare(&job.output, Some(&job.input))?;
+        let scan = Scan::open(&job.input, progress)?;
+        let purse = Purse::new(job.memory.0, job.threads);
+        let run = Run { job, progress, scan: &scan, purse, begun };
+        match scan.scalar() {
+            Scalar::F32 => run.through::<f32>(out),
+            Scalar::F64 => run.through::<f64>(out),
+        }
+    })
+}
+
+/// One reduction under way.
+struct Run<'a> {
+    job: &'a Job,
+    progress: &'a Progress,
+    scan: &'a Scan,
+    purse: Purse,
+    begun: Instant,
+}
+
+/// What goes into the collapse.
+struct Intermediate<S> {
+    mesh: IndexedMesh<S>,
+    frame: Frame,
+    quadrics: Option<Vec<PackedQuadric>>,
+    source: Source,
+}
+
+/// Where it came from.
+enum Source {
+    Loaded(LoadReport),
+    Clustered(ClusterStats),
+}
+
+impl Run<'_> {
+    fn through<S: Coordinate>(&self, out: write::Target) -> Result<Report> {
+        let asked = self.job.target.faces(self.scan.triangle_count());
+        let mut clock = Clock::new(self.begun);
+        let mut seconds = Timeline::default();
+        let opened = clock.lap();
+        let Intermediate { mesh, frame, quadrics, source } = self.intermediate::<S>(asked)?;
+        match source {
+            Source::Loaded(_) => seconds.read = opened + clock.lap(),
+            Source::Clustered(_) => (seconds.read, seconds.cluster) = (opened, clock.lap()),
+        }
+        let faces = mesh.faces.len();
+        let Collapsed { mesh, error_estimate, irregularities, .. } =
+            collapse(mesh, quadrics, &self.collapse_options(asked, frame), self.progress)?;
+        self.check(asked, faces, mesh.faces.len())?;
+        seconds.collapse = clock.lap();
+
+        let mut warnings = self.warnings(asked, &source, faces);
+        warnings.extend(irregular(&irregularities));
+        if S::DOUBLE && out.loses_doubles() {
+            warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
+        }
+        let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
+        out.write_mesh(&mesh, frame, self.progress)?;
+        seconds.write = clock.lap();
+        seconds.total = self.begun.elapsed().as_secs_f64();
+        let (mode, cells, ratio, scratch_bytes) = match &source {
+            Source::Loaded(_) => (Mode::InCore, None, None, 0),
+            Source::Clustered(stats) => {
+                let ratio = faces as f64 / output.faces.max(1) as f64;
+                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
+            }
+        };
+        Ok(Report {
+            input: MeshFile {
+                path: self.job.input.clone(),
+                faces: self.scan.face_count(),
+                vertices: self.scan.vertex_count(),
+            },
+            output,
+            mode,
+            cells,
+            ratio,
+            threads: self.job.threads,
+            memory_budget_bytes: self.job.memory.0,
+            peak_rss_bytes: peak_rss_bytes(),
+            scratch_bytes,
+            seconds,
+            error_estimate: Some(frame.to_file(error_estimate)),
+            warnings,
+        })
+    }
+
+    /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
+    fn intermediate<S: Coordinate>(&self, asked: Option<u64>) -> Result<Intermediate<S>> {
+        let plan = self.purse.plan::<S>(self.scan, asked)?;
+        let plan = match plan {
+            Plan::InCore { most_vertices } => {
+                self.progress.begin(Stage::Read, self.scan.bytes());
+                let crew = Crew { workers: 1, progress: self.progress };
+                if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
+                    return Ok(Intermediate { mesh, frame, quadrics: None, source: Source::Loaded(report) });
+                }
+                self.purse.out_of_core::<S>(self.scan, asked)?
+            }
+            plan => plan,
+        };
+        match plan {
+            Plan::OutOfCore { cells, most_cells } => self.clustered(asked, cells, most_cells),
+            Plan::InCore { .. } => Err(Error::input(self.scan.path(), "has more vertices than three a face")),
+        }
+    }
+
+    /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.
+    fn clustered<S: Coordinate>(
+        &self,
+        asked: Option<u64>,
+        mut cells: usize,
+        most_cells: usize,
+    ) -> Result<Intermediate<S>> {
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        loop {
+            let (raw_faces, spill_resident_bytes) = self.purse.cluster_options(cells);
+            let options = ClusterOptions {
+                representative: self.job.representative,
+                cells,
+                raw_faces,
+                spill_resident_bytes,
+                boundary_weight: self.job.boundary_weight,
+            };
+            self.progress.begin(Stage::Cluster, 0);
+            let scratch = Scratch::in_folder(self.job.scratch_folder());
+            let clustered = cluster::<S>(self.scan, &crew, &scratch, &options)?;
+            let faces = clustered.mesh.faces.len() as u64;
+            let enough = asked.unwrap_or(0);
+            if faces < enough && cells < most_cells {
+                let factor = 1.2 * enough as f64 / faces.max(1) as f64;
+                cells = ((cells as f64 * factor) as usize).min(most_cells);
+                continue;
+            }
+            if faces < enough {
+                let what = format!("clustering within the budget leaves {faces} faces, fewer than the {enough} asked for");
+                return Err(Error::Unmet { file: self.job.input.clone(), what });
+            }
+            return Ok(Intermediate {
+                mesh: clustered.mesh,
+                frame: clustered.frame,
+                quadrics: Some(clustered.quadrics),
+                source: Source::Clustered(clustered.stats),
+            });
+        }
+    }
+
+    fn collapse_options(&self, asked: Option<u64>, frame: Frame) -> collapse::Options {
+        let max_error = match self.job.target {
+            crate::job::Target::MaxError(length) => frame.to_frame(length),
+            _ => f64::INFINITY,
+        };
+        collapse::Options {
+            target: asked.unwrap_or(0).try_into().unwrap_or(usize::MAX),
+            max_error,
+            boundary_weight: self.job.boundary_weight,
+        }
+    }
+
+    /// Whether what was asked was reached.
+    fn check(&self, asked: Option<u64>, before: usize, after: usize) -> Result<()> {
+        match asked {
+            Some(asked) if after as u64 > asked && after < before => {
+                let what = format!("{asked} faces cannot be reached: the smallest count is {after}");
+                Err(Error::Unmet { file: self.job.input.clone(), what })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn warnings(&self, asked: Option<u64>, source: &Source, faces: usize) -> Vec<Warning> {
+        let mut warnings = Vec::new();
+        let mut say = |n: u64, warning: fn(u64) -> Warning| {
+            if n > 0 {
+                warnings.push(warning(n));
+            }
+        };
+        say(self.scan.trailing_bytes(), |bytes| Warning::TrailingBytes { bytes });
+        match source {
+            Source::Loaded(report) => {
+                say(report.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
+                say(report.unreferenced_vertices, |vertices| Warning::UnreferencedVertices { vertices });
+                say(report.duplicate_vertices, |vertices| Warning::DuplicateVertices { vertices });
+                if let Some(asked) = asked.filter(|&n| n >= faces as u64) {
+                    warnings.push(Warning::TargetAboveScan { asked, have: faces as u64 });
+                }
+            }
+            Source::Clustered(stats) => {
+                say(stats.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
+                if stats.overflows > 0 {
+                    warnings.push(Warning::CoarsenedGrid { times: stats.overflows, cells: stats.occupied_cells });
+                }
+                let ratio = faces as f64 / asked.unwrap_or(0).max(1) as f64;
+                if asked.is_some() && ratio < 2.0 * LEAST_RATIO {
+                    warnings.push(Warning::LowRatio { ratio });
+                }
+            }
+        }
+        warnings
+    }
+}
+
+fn irregular(found: &collapse::Irregularities) -> impl Iterator<Item = Warning> {
+    let edges = (found.nonmanifold_edges > 0).then_some(Warning::NonManifoldEdges { edges: found.nonmanifold_edges });
+    let vertices = found.nonmanifold_vertices;
+    edges.into_iter().chain((vertices > 0).then_some(Warning::NonManifoldVertices { vertices }))
+}
+
+fn mesh_file(path: &std::path::Path, faces: usize, vertices: usize) -> MeshFile {
+    MeshFile { path: path.into(), faces: faces as u64, vertices: vertices as u64 }
+}
+
+/// Seconds between laps.
+struct Clock(Instant);
+
+impl Clock {
+    fn new(begun: Instant) -> Self {
+        Clock(begun)
+    }
+
+    fn lap(&mut self) -> f64 {
+        let seconds = self.0.elapsed().as_secs_f64();
+        self.0 = Instant::now();
+        seconds
+    }
 }

@@ -1,0 +1,162 @@
+//! What a memory budget buys for a scan: in core or out of core, and with how many cells.
+//!
+//! All sizes of a run follow from the scan, the ask and the budget, never from the threads or the machine, so that neither
+//! can change a byte of the result. The arithmetic, in bytes:
+//!
+//! | | resident |
+//! |---|---|
+//! | always | [`BASE_BYTES`] (program, stacks, allocator) and what a streaming pass maps and decodes |
+//! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
+//! | in core, collapse | 36 a face, 109 a vertex (133): about 91 a face on closed scans |
+//! | out of core, binning | the cell table (27 + 8 a cell), and the binned vertices, 8 each, where they fit |
+//! | out of core, summing | the same, 64 a cell for its sums and 12 a surviving face |
+//! | out of core, collapse | as in core, for the intermediate mesh: about two faces a cell |
+//!
+//! Out of core the intermediate mesh is [`AIM`] times as large as the result where that fits, and at least [`LEAST_RATIO`]
+//! times: below that clustering does most of the reduction and the result is no better than clustering's.
+
+use crate::budget::MIB;
+use crate::cluster;
+use crate::collapse;
+use crate::error::{Error, Result};
+use crate::mesh::Coordinate;
+use crate::read::{Crew, Layout, Scan, load_peak_bytes};
+
+/// Resident before any stage has allocated: 6 MiB of program, libraries and stacks, measured, and as much again for what
+/// allocators keep back.
+const BASE_BYTES: u64 = 12 * MIB;
+
+/// Intermediate : target that is aimed at.
+pub const AIM: f64 = 10.0;
+
+/// Intermediate : target below which a budget is refused.
+pub const LEAST_RATIO: f64 = 2.0;
+
+/// Faces of the intermediate mesh for each cell that the table has room for, when as full as it should be.
+const FACES_A_CELL: f64 = 1.6;
+
+/// Faces that may survive clustering for each cell, coincident ones included; more coarsens the grid.
+const SURVIVORS_A_CELL: usize = 5;
+
+/// The fewest cells that are worth clustering into.
+const LEAST_CELLS: usize = 4096;
+
+/// How a scan will be reduced.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Plan {
+    /// Load, weld, collapse.
+    InCore {
+        /// Distinct vertices for which the collapse still fits. Only a soup can turn out to have more.
+        most_vertices: u64,
+    },
+    /// Cluster, then collapse.
+    OutOfCore {
+        /// Cells that the table has room for.
+        cells: usize,
+        /// The most that the budget has room for.
+        most_cells: usize,
+    },
+}
+
+/// A budget and the hands that share it.
+#[derive(Debug, Clone, Copy)]
+pub struct Purse {
+    bytes: u64,
+    /// Threads that streaming passes may use: windows and caches are paid for each.
+    pub workers: usize,
+}
+
+impl Purse {
+    /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
+    pub fn new(bytes: u64, threads: usize) -> Self {
+        let fits = |n: &usize| cluster::worker_bytes(*n) + Crew::stream_bytes(*n) <= bytes / 4;
+        let workers = (1..=threads).rev().find(fits).unwrap_or(1);
+        Purse { bytes, workers }
+    }
+
+    /// What is left for a stage's arrays. It does not depend on the workers: their share is set aside as a whole.
+    fn for_arrays(&self) -> u64 {
+        self.bytes.saturating_sub(BASE_BYTES + aside(self.bytes))
+    }
+
+    /// The plan for `scan`, of which `target` faces are asked, or as few as an error bound allows.
+    pub fn plan<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Plan> {
+        match self.in_core::<S>(scan) {
+            Some(plan) => Ok(plan),
+            None => self.out_of_core::<S>(scan, target),
+        }
+    }
+
+    fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<Plan> {
+        let faces = scan.triangle_count();
+        let arrays = self.for_arrays();
+        let a_vertex = collapse::bytes::<S>(0, 1);
+        let most_vertices = arrays.checked_sub(collapse::bytes::<S>(faces, 0))? / a_vertex;
+        let fits = match scan.layout() {
+            Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= arrays,
+            // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
+            Layout::Soup => faces / 2 <= most_vertices,
+        };
+        fits.then_some(Plan::InCore { most_vertices })
+    }
+
+    /// The plan for a scan that does not fit.
+    pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Plan> {
+        let most_cells = self.most_cells::<S>();
+        let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
+        if most_cells < least_cells {
+            let out_of_core = bytes_for::<S>(least_cells);
+            let in_core = load_peak_bytes(scan).max(in_core_bytes::<S>(scan));
+            let needed_bytes = total_for(out_of_core.min(in_core));
+            let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
+            let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
+            return Err(Error::Budget { what, needed_bytes });
+        }
+        let wanted = target.map_or(most_cells, |n| cells_for(n, AIM)).max(LEAST_CELLS);
+        Ok(Plan::OutOfCore { cells: wanted.min(most_cells), most_cells })
+    }
+
+    fn most_cells<S: Coordinate>(&self) -> usize {
+        let a_cell = bytes_for::<S>(1 << 20) as f64 / f64::from(1 << 20);
+        ((self.for_arrays() as f64 / a_cell) as usize).min(cluster::MAX_CELLS)
+    }
+
+    /// Clustering's options for a table of `cells`.
+    pub fn cluster_options(&self, cells: usize) -> (usize, u64) {
+        let raw_faces = SURVIVORS_A_CELL * cells;
+        let taken = cluster::table_bytes(cells) + cluster::sums_bytes(cells) + 12 * raw_faces as u64;
+        (raw_faces, self.for_arrays().saturating_sub(taken))
+    }
+}
+
+/// What is set aside for streaming.
+fn aside(bytes: u64) -> u64 {
+    (bytes / 4).min(Crew::stream_bytes(8) + cluster::worker_bytes(8))
+}
+
+/// Cells for an intermediate mesh of `ratio` times `target` faces.
+fn cells_for(target: u64, ratio: f64) -> usize {
+    (target as f64 * ratio / FACES_A_CELL).ceil() as usize
+}
+
+/// Bytes of arrays at the peak, out of core, for a table of `cells`.
+fn bytes_for<S: Coordinate>(cells: usize) -> u64 {
+    let collapse = collapse::bytes::<S>(2 * cells as u64 + cells as u64 / 8, cells as u64);
+    let sums = cluster::table_bytes(cells) + cluster::sums_bytes(cells) + 12 * (SURVIVORS_A_CELL * cells) as u64;
+    collapse.max(sums)
+}
+
+fn in_core_bytes<S: Coordinate>(scan: &Scan) -> u64 {
+    let vertices = match scan.layout() {
+        Layout::Indexed => scan.vertex_count(),
+        Layout::Soup => scan.triangle_count().div_ceil(2),
+    };
+    collapse::bytes::<S>(scan.triangle_count(), vertices)
+}
+
+/// The least budget whose arrays have that many bytes, in whole mebibytes.
+fn total_for(arrays: u64) -> u64 {
+    let small = (arrays.saturating_add(BASE_BYTES)) / 3 * 4 + MIB;
+    let large = arrays.saturating_add(BASE_BYTES + Crew::stream_bytes(8) + cluster::worker_bytes(8)) + MIB;
+    if aside(small) == small / 4 { small } else { large }
+}
