@@ -149,13 +149,17 @@ pub(super) fn read(input: &Input) -> Result<Header> {
     let (bytes, payload) = header_bytes(input)?;
     let cleaned = Cleaner::new(input).clean(&bytes)?;
     let parsed = Parser::<DefaultElement>::new().read_header(&mut Reader::new(cleaned.as_bytes()));
-    let parsed = parsed.map_err(|e| Error::input(input.path(), format!("PLY header: {}", one_line(&e.to_string()))))?;
+    let parsed =
+        parsed.map_err(|e| Error::input(input.path(), format!("PLY header: {}", first_line(&e.to_string()))))?;
     let elements = parsed.elements.values().map(element).collect();
     Ok(Header { encoding: parsed.encoding, payload, elements })
 }
 
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
+/// What a parser's error says, without the number of a line that the cleaned copy does not share with the file.
+fn first_line(text: &str) -> String {
+    let line = text.lines().next().unwrap_or_default();
+    let what = line.split_once(": ").filter(|(place, _)| place.starts_with("Line ")).map_or(line, |(_, what)| what);
+    what.escape_debug().take(200).collect()
 }
 
 /// The bytes up to `end_header`, and where the payload begins.
@@ -269,7 +273,14 @@ impl<'a> Cleaner<'a> {
                 let name = self.name("property", name, &["x", "y", "z", "vertex_indices", "vertex_index"])?;
                 vec!["property".into(), kind.into(), name]
             }
-            ["ply"] | ["format", _, _] | ["end_header"] => words.iter().map(|w| w.to_string()).collect(),
+            ["format", encoding, version] => {
+                const ENCODINGS: [&str; 3] = ["ascii", "binary_little_endian", "binary_big_endian"];
+                if !ENCODINGS.contains(&encoding) || version != "1.0" {
+                    return Err(self.error(format!("`{}` is not a format that PLY has", shown(&line))));
+                }
+                words.iter().map(|w| w.to_string()).collect()
+            }
+            ["ply"] | ["end_header"] => words.iter().map(|w| w.to_string()).collect(),
             _ => return Err(self.error(format!("`{}` is not a line of a PLY header", shown(&line)))),
         };
         cleaned.push_str(&words.join(" "));
