@@ -13,8 +13,8 @@ use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Faces that are gathered before they are worked on, so that their cache misses overlap.
-const BATCH: usize = 1024;
+/// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
+pub(super) const BATCH: usize = 1024;
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {

@@ -70,7 +70,7 @@ impl Evidence<'_> {
     /// A cell's quadric and mean about its centre, lengths in cells.
     fn learnt(&self, cell: u32) -> (Quadric, DVec3) {
         let lanes: [f64; LANES] = self.totals.of(cell).map(|x| x as f64);
-        let [a0, a1, a2, a3, a4, a5, b0, b1, b2, c, w, x, y, z] = lanes;
+        let [a0, a1, a2, b0, a3, a4, b1, a5, b2, c, w, x, y, z] = lanes;
         let mean = if w > 0.0 { DVec3::new(x, y, z) / w } else { DVec3::ZERO };
         let a = [a0, a1, a2, a3, a4, a5].map(|x| x * self.quantum);
         let b = DVec3::new(b0, b1, b2) * self.quantum;

@@ -9,29 +9,33 @@
 //! Lines are 64 bytes with their lock. Locking one for every contribution would cost more than the arithmetic, so each
 //! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row.
 
-use glam::DVec3;
+use glam::{Vec3A, Vec4, Vec4Swizzles};
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
 
-/// Lanes of a cell's sums.
+/// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
 /// The lane of the weight.
 const WEIGHT: usize = 10;
-/// The cached line's lane that says whose it is.
-const OWNER: usize = 14;
+/// Lanes of a contribution: the same, with two unused before the weight, so that four vectors make it.
+const PADDED: usize = 16;
+/// The lane of a contribution's weight.
+const PADDED_WEIGHT: usize = 12;
 /// Largest weight of a line, with some room for the rounding of single contributions.
 const LIMIT: i64 = (1 << 31) - (1 << 20);
 /// Largest weight of one contribution: 2¹⁴ of them do not overflow a side sum. A face of that weight has thousands of times
 /// the area that the whole scan was estimated to have.
-const HEAVIEST: f64 = (1u64 << 48) as f64;
+const HEAVIEST: f32 = (1u64 << 48) as f32;
 
 /// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.
 const CACHED: usize = 2048;
+/// The owner of an empty line.
+const NOBODY: u32 = u32::MAX;
 
 /// Bytes of a cell's line.
 pub(super) const LINE_BYTES: usize = size_of::<Line>();
 /// Bytes of a worker's cache.
-pub(super) const CACHE_BYTES: usize = CACHED * size_of::<Cached>();
+pub(super) const CACHE_BYTES: usize = CACHED * (size_of::<Cached>() + 4);
 
 #[derive(Default)]
 #[repr(align(64))]
@@ -43,23 +47,24 @@ pub(super) struct Sums {
     side: Mutex<FxHashMap<u32, [i64; LANES]>>,
 }
 
-/// One face's share in a cell, in quanta: about the cell's centre, lengths in cells.
+/// One face's share in a cell, in quanta: about the cell's centre, lengths in cells. Single precision is finer than the
+/// rounding to quanta that follows.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Share {
-    lanes: [f64; 16],
-}
+pub(super) struct Share([f32; PADDED]);
 
 impl Share {
     /// The plane with unit normal `n` (zero for a face without area) through `p`, and `p` itself, with weight `w` ≥ 1.
     #[inline(always)]
-    pub(super) fn new(n: DVec3, p: DVec3, w: f64) -> Self {
+    pub(super) fn new(n: Vec3A, p: Vec3A, w: f32) -> Self {
         let w = w.min(HEAVIEST);
-        let (m, d) = (n * w, -n.dot(p));
-        let (md, wp) = (m * d, p * w);
-        let a = [m.x * n.x, m.x * n.y, m.x * n.z, m.y * n.y, m.y * n.z, m.z * n.z];
-        let [a0, a1, a2, a3, a4, a5] = a;
-        let lanes = [a0, a1, a2, a3, a4, a5, md.x, md.y, md.z, w * d * d, w, wp.x, wp.y, wp.z, 0.0, 0.0];
-        Share { lanes }
+        let u = n.extend(-n.dot(p));
+        let m = u * w;
+        let mut lanes = [0.0; PADDED];
+        (u * m.xxxx()).write_to_slice(&mut lanes[0..]);
+        (u.yzwz() * m.yyyz()).write_to_slice(&mut lanes[4..]);
+        (u.wwww() * m.zwww()).write_to_slice(&mut lanes[8..]);
+        (Vec4::new(1.0, p.x, p.y, p.z) * w).write_to_slice(&mut lanes[12..]);
+        Share(lanes)
     }
 }
 
@@ -69,34 +74,34 @@ const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// A line in a worker's cache.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-struct Cached([i32; 16]);
+struct Cached([i32; PADDED]);
 
 /// A worker's access to the sums. Nothing counts until [`Gatherer::flush`].
 pub(super) struct Gatherer<'a> {
     sums: &'a Sums,
-    cache: Box<[Cached]>,
+    cache: Box<[Cached; CACHED]>,
+    owners: Box<[u32; CACHED]>,
 }
 
 impl<'a> Gatherer<'a> {
     pub(super) fn new(sums: &'a Sums) -> Self {
-        let mut empty = [0; 16];
-        empty[OWNER] = -1;
-        Gatherer { sums, cache: vec![Cached(empty); CACHED].into_boxed_slice() }
+        Gatherer { sums, cache: Box::new([Cached([0; PADDED]); CACHED]), owners: Box::new([NOBODY; CACHED]) }
     }
 
     /// Adds a face's share to a cell.
     #[inline(always)]
     pub(super) fn add(&mut self, cell: u32, share: &Share) {
-        if share.lanes[WEIGHT] > LIMIT as f64 {
-            return self
-                .sums
-                .add_aside(cell, &share.lanes.map(|x| (x + ROUNDER).to_bits() as i64 - ROUNDER.to_bits() as i64));
+        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
+            let wide = share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() - ROUNDER.to_bits()) as i64);
+            return self.sums.add_aside(cell, &unpad(&wide));
         }
         // A weight at the limit still fits 32 bits, and the other lanes are no larger.
-        let share = share.lanes.map(|x| (x + ROUNDER).to_bits() as i32);
-        let line = &mut self.cache[cell as usize % CACHED].0;
-        if line[OWNER] != cell as i32 || i64::from(line[WEIGHT]) + i64::from(share[WEIGHT]) > LIMIT {
-            self.sums.replace(line, cell);
+        let share = share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32);
+        let place = cell as usize % CACHED;
+        let line = &mut self.cache[place].0;
+        if self.owners[place] != cell || i64::from(line[PADDED_WEIGHT]) + i64::from(share[PADDED_WEIGHT]) > LIMIT {
+            self.sums.write_back(self.owners[place], line);
+            self.owners[place] = cell;
         }
         for (sum, x) in line.iter_mut().zip(share) {
             *sum = sum.wrapping_add(x);
@@ -105,14 +110,17 @@ impl<'a> Gatherer<'a> {
 
     /// Hands all that was gathered to the sums.
     pub(super) fn flush(&mut self) {
-        for line in &mut self.cache {
-            if line.0[OWNER] >= 0 {
-                self.sums.write_back(&line.0);
-                line.0 = [0; 16];
-                line.0[OWNER] = -1;
-            }
+        for (line, owner) in self.cache.iter_mut().zip(&mut *self.owners) {
+            self.sums.write_back(*owner, &mut line.0);
+            *owner = NOBODY;
         }
     }
+}
+
+/// A contribution's or a cached line's lanes without the unused ones.
+#[inline(always)]
+fn unpad<T: Copy>(lanes: &[T; PADDED]) -> [T; LANES] {
+    std::array::from_fn(|i| lanes[if i < WEIGHT { i } else { i + PADDED - LANES }])
 }
 
 impl Sums {
@@ -123,34 +131,25 @@ impl Sums {
         Sums { lines, side: Mutex::default() }
     }
 
-    /// Writes a cached line back and makes it an empty one of `cell`.
+    /// Adds a cached line to its owner's and empties it.
     #[inline(never)]
-    fn replace(&self, line: &mut [i32; 16], cell: u32) {
-        if line[OWNER] >= 0 {
-            self.write_back(line);
-        }
-        *line = [0; 16];
-        line[OWNER] = cell as i32;
-    }
-
-    fn write_back(&self, gathered: &[i32; 16]) {
-        let cell = gathered[OWNER] as usize;
+    fn write_back(&self, owner: u32, cached: &mut [i32; PADDED]) {
+        let gathered = unpad(&std::mem::replace(cached, [0; PADDED]));
+        let Some(line) = self.lines.get(owner as usize) else { return };
         // A worker that panicked has left nothing half done here: lanes are added without a call that could.
-        let mut line = self.lines[cell].0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut line = line.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         if i64::from(line[WEIGHT]) + i64::from(gathered[WEIGHT]) > LIMIT {
-            let mut wide = [0i64; 16];
-            wide[..LANES].copy_from_slice(&line.map(i64::from));
-            self.add_aside(cell as u32, &wide);
-            line.copy_from_slice(&gathered[..LANES]);
+            self.add_aside(owner, &line.map(i64::from));
+            *line = gathered;
         } else {
             for (sum, x) in line.iter_mut().zip(gathered) {
-                *sum = sum.wrapping_add(*x);
+                *sum = sum.wrapping_add(x);
             }
         }
     }
 
     #[cold]
-    fn add_aside(&self, cell: u32, lanes: &[i64; 16]) {
+    fn add_aside(&self, cell: u32, lanes: &[i64; LANES]) {
         let mut side = self.side.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let sums = side.entry(cell).or_insert([0; LANES]);
         for (sum, x) in sums.iter_mut().zip(lanes) {
@@ -171,7 +170,7 @@ pub(super) struct Totals {
 }
 
 impl Totals {
-    /// A cell's sums: `A` (6), `b` (3), `c`, `w`, `Σ w·p` (3).
+    /// A cell's sums.
     pub(super) fn of(&self, cell: u32) -> [i64; LANES] {
         let line = self.lines[cell as usize].0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let mut total = line.map(i64::from);
@@ -197,12 +196,12 @@ mod tests {
         let mut state = 7u64;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as f64 / (1u64 << 31) as f64
+            (state >> 33) as f32 / (1u64 << 31) as f32
         };
         (0..count)
             .map(|i| {
-                let n = DVec3::new(random() - 0.5, random() - 0.5, random() - 0.5).normalize_or_zero();
-                let p = DVec3::new(random() - 0.5, random() - 0.5, random() - 0.5);
+                let mut place = || Vec3A::new(random() - 0.5, random() - 0.5, random() - 0.5);
+                let (n, p) = (place().normalize_or_zero(), place());
                 // Every tenth outgrows a line at once, cell 3 by and by.
                 let w = if i % 10 == 0 { 3e9 } else { 2e7 } * random() + 1.0;
                 ((random() * 5000.0) as u32 % if i % 3 == 0 { 4 } else { 5000 }, Share::new(n, p, w))
@@ -253,8 +252,8 @@ mod tests {
     #[test]
     fn no_lane_exceeds_the_weight() {
         for (_, share) in shares(10_000) {
-            let w = share.lanes[WEIGHT];
-            assert!(share.lanes.iter().all(|x| x.abs() <= w * (1.0 + 1e-12)));
+            let w = share.0[PADDED_WEIGHT];
+            assert!(share.0.iter().all(|x| x.abs() <= w * (1.0 + 1e-6)));
         }
     }
 }
