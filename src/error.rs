@@ -62,7 +62,7 @@ pub enum Error {
 }
 
 /// The result of anything that can fail here.
-pub type Result<T> = std::result::Result<T, Error>;
+pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// An element of a file: its kind and its number, counted from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,4 +6,5 @@ mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
 pub use indexed::{IndexedMesh, narrow, widen};
+pub(crate) use weld::hash_position;
 pub use weld::{WeldReport, weld};

@@ -71,7 +71,7 @@ pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>) -> WeldReport {
 }
 
 /// Equal for equal positions: −0 and +0 are one coordinate.
-fn hash_position<S: Coordinate>(p: &[S; 3]) -> u64 {
+pub(crate) fn hash_position<S: Coordinate>(p: &[S; 3]) -> u64 {
     let mut h = 0u64;
     for x in p {
         h = (h ^ (x.widen() + 0.0).to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15);

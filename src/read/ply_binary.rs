@@ -1,0 +1,290 @@
+//! Binary PLY payloads: tight loops over records of one length, and [`Binary`] values for all others.
+
+use super::cursor::Cursor;
+use super::ply_header::Kind;
+use super::ply_records::{Fault, Values, no_such_vertex};
+
+/// Calls `$body` with `$get` bound to a function from the first bytes of a slice to the number of that kind.
+macro_rules! with_kind {
+    ($kind:expr, $big:expr, |$get:ident| $body:expr) => {
+        match ($kind, $big) {
+            (Kind::I8, _) => with_kind!(@ i8, from_ne_bytes, $get, $body),
+            (Kind::U8, _) => with_kind!(@ u8, from_ne_bytes, $get, $body),
+            (Kind::I16, false) => with_kind!(@ i16, from_le_bytes, $get, $body),
+            (Kind::I16, true) => with_kind!(@ i16, from_be_bytes, $get, $body),
+            (Kind::U16, false) => with_kind!(@ u16, from_le_bytes, $get, $body),
+            (Kind::U16, true) => with_kind!(@ u16, from_be_bytes, $get, $body),
+            (Kind::I32, false) => with_kind!(@ i32, from_le_bytes, $get, $body),
+            (Kind::I32, true) => with_kind!(@ i32, from_be_bytes, $get, $body),
+            (Kind::U32, false) => with_kind!(@ u32, from_le_bytes, $get, $body),
+            (Kind::U32, true) => with_kind!(@ u32, from_be_bytes, $get, $body),
+            (Kind::F32, false) => with_kind!(@ f32, from_le_bytes, $get, $body),
+            (Kind::F32, true) => with_kind!(@ f32, from_be_bytes, $get, $body),
+            (Kind::F64, false) => with_kind!(@ f64, from_le_bytes, $get, $body),
+            (Kind::F64, true) => with_kind!(@ f64, from_be_bytes, $get, $body),
+        }
+    };
+    (@ $type:ty, $from:ident, $get:ident, $body:expr) => {{
+        #[inline(always)]
+        fn $get(bytes: &[u8]) -> $type {
+            let mut number = [0; size_of::<$type>()];
+            number.copy_from_slice(&bytes[..size_of::<$type>()]);
+            <$type>::$from(number)
+        }
+        $body
+    }};
+}
+
+/// Where the coordinates are in vertex records of one length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct VertexRecord {
+    pub stride: usize,
+    pub big: bool,
+    /// Offset and type of x, y and z.
+    pub axes: [(usize, Kind); 3],
+}
+
+impl VertexRecord {
+    /// Decodes whole records.
+    pub fn decode(&self, records: &[u8], out: &mut Vec<[f64; 3]>) {
+        out.clear();
+        let [(x, kind), (y, ykind), (z, zkind)] = self.axes;
+        let together = ykind == kind && zkind == kind && y == x + kind.bytes() && z == y + kind.bytes();
+        match (kind, together && !self.big, self.stride) {
+            (Kind::F32, true, 12) => out.extend(records.as_chunks::<12>().0.iter().map(|r| xyz_f32(r))),
+            (Kind::F32, true, stride) => out.extend(records.chunks_exact(stride).map(|r| xyz_f32(&r[x..x + 12]))),
+            _ => self.decode_by_axis(records, out),
+        }
+    }
+
+    /// One coordinate of all records after the other, so that types are told apart once a chunk.
+    fn decode_by_axis(&self, records: &[u8], out: &mut Vec<[f64; 3]>) {
+        out.resize(records.len() / self.stride, [0.0; 3]);
+        for (axis, (offset, kind)) in self.axes.into_iter().enumerate() {
+            with_kind!(kind, self.big, |get| {
+                for (position, record) in out.iter_mut().zip(records.chunks_exact(self.stride)) {
+                    position[axis] = get(&record[offset..]).into();
+                }
+            });
+        }
+    }
+}
+
+#[inline(always)]
+fn xyz_f32(bytes: &[u8]) -> [f64; 3] {
+    let xyz: [f32; 3] = bytemuck::pod_read_unaligned(bytes);
+    xyz.map(|c| f64::from(f32::from_bits(u32::from_le(c.to_bits()))))
+}
+
+/// Where the corners are in face records of one length: those of a file of triangles only.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct TriangleRecord {
+    pub stride: usize,
+    pub big: bool,
+    /// Offset of the list's count.
+    pub offset: usize,
+    pub count: Kind,
+    pub index: Kind,
+}
+
+/// What is wrong with a face.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct BadFace {
+    /// Which record of those decoded.
+    pub record: usize,
+    /// The byte within the record.
+    pub byte: usize,
+    pub what: String,
+}
+
+impl TriangleRecord {
+    /// Whether all of these whole records have lists of three.
+    pub fn all_triangles(&self, records: &[u8]) -> bool {
+        let (three, size) = self.three();
+        let list = self.offset..self.offset + size;
+        match size {
+            1 => records.chunks_exact(self.stride).fold(true, |all, r| all & (r[self.offset] == 3)),
+            _ => records.chunks_exact(self.stride).all(|r| r[list.clone()] == three[..size]),
+        }
+    }
+
+    /// The count of a triangle as it is in the file.
+    fn three(&self) -> ([u8; 4], usize) {
+        let size = self.count.bytes();
+        let mut three = [0; 4];
+        three[if self.big { size - 1 } else { 0 }] = 3;
+        (three, size)
+    }
+
+    /// Decodes whole records, checking that each is a triangle of vertices that exist.
+    pub fn decode(&self, records: &[u8], vertices: u64, out: &mut Vec<[u32; 3]>) -> Result<(), BadFace> {
+        out.clear();
+        let limit = vertices.min(self.index.index_limit());
+        let common = self.count.bytes() == 1 && self.index.bytes() == 4 && !self.big;
+        let sound = match (common, self.stride) {
+            (true, 13) => {
+                let (mut sound, mut largest) = (true, 0);
+                out.extend(records.as_chunks::<13>().0.iter().map(|r| triangle(r, &mut sound, &mut largest)));
+                sound && u64::from(largest) < limit
+            }
+            (true, stride) => {
+                let (mut sound, mut largest) = (true, 0);
+                let list = self.offset..self.offset + 13;
+                let records = records.chunks_exact(stride).map(|r| &r[list.clone()]);
+                out.extend(records.map(|r| triangle(r, &mut sound, &mut largest)));
+                sound && u64::from(largest) < limit
+            }
+            _ => self.all_triangles(records) && self.decode_by_corner(records, limit, out),
+        };
+        if sound { Ok(()) } else { Err(self.find_bad(records, vertices)) }
+    }
+
+    fn decode_by_corner(&self, records: &[u8], limit: u64, out: &mut Vec<[u32; 3]>) -> bool {
+        out.resize(records.len() / self.stride, [0; 3]);
+        let mut sound = true;
+        for corner in 0..3 {
+            let offset = self.corner_offset(corner);
+            with_kind!(self.index, self.big, |get| {
+                for (triangle, record) in out.iter_mut().zip(records.chunks_exact(self.stride)) {
+                    // A negative number becomes one at or above the limit of its kind.
+                    let index = get(&record[offset..]) as i64 as u64;
+                    sound &= index < limit;
+                    triangle[corner] = index as u32;
+                }
+            });
+        }
+        sound
+    }
+
+    fn corner_offset(&self, corner: usize) -> usize {
+        self.offset + self.count.bytes() + corner * self.index.bytes()
+    }
+
+    /// The first record that [`decode`](Self::decode) would not have.
+    #[cold]
+    fn find_bad(&self, records: &[u8], vertices: u64) -> BadFace {
+        for (record, bytes) in records.chunks_exact(self.stride).enumerate() {
+            if !self.all_triangles(bytes) {
+                let what = "a list count that is not 3, where the size of the file says that every face is a triangle";
+                return BadFace { record, byte: self.offset, what: what.into() };
+            }
+            for corner in 0..3 {
+                let byte = self.corner_offset(corner);
+                let index = with_kind!(self.index, self.big, |get| get(&bytes[byte..]) as i64);
+                if index < 0 || index as u64 >= vertices {
+                    return BadFace { record, byte, what: no_such_vertex(index, vertices) };
+                }
+            }
+        }
+        BadFace { record: 0, byte: 0, what: "the bytes of the file changed while they were read".into() }
+    }
+}
+
+#[inline(always)]
+fn triangle(list: &[u8], sound: &mut bool, largest: &mut u32) -> [u32; 3] {
+    *sound &= list[0] == 3;
+    let corners: [u32; 3] = bytemuck::pod_read_unaligned(&list[1..13]);
+    let corners = corners.map(u32::from_le);
+    *largest = (*largest).max(corners[0]).max(corners[1]).max(corners[2]);
+    corners
+}
+
+/// Binary values one after the other.
+pub(super) struct Binary<'a, const BIG: bool>(Cursor<'a>);
+
+impl<const BIG: bool> Binary<'_, BIG> {
+    #[inline(always)]
+    fn take(&mut self, len: usize) -> Result<&[u8], Fault> {
+        if self.0.left() < len as u64 {
+            return Err(Fault::End);
+        }
+        let bytes = self.0.bytes(len)?;
+        Ok(&bytes[..len])
+    }
+}
+
+impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
+    fn new(cursor: Cursor<'a>) -> Self {
+        Binary(cursor)
+    }
+
+    fn at(&self) -> u64 {
+        self.0.at
+    }
+
+    #[inline]
+    fn number(&mut self, kind: Kind) -> Result<f64, Fault> {
+        let bytes = self.take(kind.bytes())?;
+        let number = with_kind!(kind, BIG, |get| get(bytes).into());
+        self.0.at += kind.bytes() as u64;
+        Ok(number)
+    }
+
+    #[inline]
+    fn integer(&mut self, kind: Kind) -> Result<i64, Fault> {
+        let bytes = self.take(kind.bytes())?;
+        let number = with_kind!(kind, BIG, |get| get(bytes) as i64);
+        self.0.at += kind.bytes() as u64;
+        Ok(number)
+    }
+
+    fn indices(&mut self, kind: Kind, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault> {
+        let (at, size, from) = (self.0.at, kind.bytes(), corners.len());
+        let bytes = self.take(n * size)?;
+        let mut sound = true;
+        with_kind!(kind, BIG, |get| {
+            corners.extend(bytes.chunks_exact(size).map(|b| {
+                let index = get(b) as i64 as u64;
+                sound &= index < limit;
+                index as u32
+            }));
+        });
+        if !sound {
+            let index = |i: usize| with_kind!(kind, BIG, |get| get(&bytes[i * size..]) as i64);
+            let bad = (0..corners.len() - from).find(|&i| index(i) < 0 || index(i) as u64 >= limit).unwrap_or(0);
+            return Err(Fault::Wrong(at + (bad * size) as u64, no_such_vertex(index(bad), limit)));
+        }
+        self.0.at += (n * size) as u64;
+        Ok(())
+    }
+
+    #[inline]
+    fn skip(&mut self, kind: Kind, n: u64) -> Result<(), Fault> {
+        let bytes = n * kind.bytes() as u64;
+        if self.0.left() < bytes {
+            return Err(Fault::End);
+        }
+        self.0.at += bytes;
+        Ok(())
+    }
+
+    #[inline]
+    fn skip_zeros(&mut self, count: Kind, most: u64) -> Result<u64, Fault> {
+        let size = count.bytes();
+        let mut skipped = 0;
+        while skipped < most {
+            let bytes = self.0.bytes(size)?;
+            if bytes.first() != Some(&0) {
+                break;
+            }
+            let whole = (bytes.len() / size) as u64;
+            let most_here = whole.min(most - skipped);
+            let here = (zeros(bytes) / size) as u64;
+            let here = here.min(most_here);
+            self.0.at += here * size as u64;
+            skipped += here;
+            if here < most_here || here == 0 {
+                break;
+            }
+        }
+        Ok(skipped)
+    }
+}
+
+/// Zero bytes at the beginning.
+fn zeros(bytes: &[u8]) -> usize {
+    const LANES: usize = 64;
+    let (blocks, _) = bytes.as_chunks::<LANES>();
+    let whole = blocks.iter().take_while(|b| b.iter().fold(0, |any, byte| any | byte) == 0).count() * LANES;
+    whole + bytes[whole..].iter().take_while(|&&b| b == 0).count()
+}

@@ -1,0 +1,323 @@
+//! The header of a PLY file: what elements it has, of what properties, and where the payload begins.
+//!
+//! The grammar is read by `ply-rs`, on a cleaned copy of the header: real files have comments in Latin-1, blank lines, any
+//! of three line endings and names with odd characters, all of which it refuses; names that nobody here asks for are
+//! replaced by numbers, which also keeps equal ones apart.
+
+use super::map::Input;
+use crate::error::{Error, Item, Result};
+use ply_rs::parser::{Parser, Reader};
+use ply_rs::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType};
+
+/// The longest header that is read.
+const HEADER_BYTES: u64 = 1 << 20;
+
+/// The type of a number in the file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Kind {
+    /// Bytes of one in a binary file.
+    pub fn bytes(self) -> usize {
+        match self {
+            Kind::I8 | Kind::U8 => 1,
+            Kind::I16 | Kind::U16 => 2,
+            Kind::I32 | Kind::U32 | Kind::F32 => 4,
+            Kind::F64 => 8,
+        }
+    }
+
+    /// Whether it counts and points.
+    pub fn is_integer(self) -> bool {
+        !matches!(self, Kind::F32 | Kind::F64)
+    }
+
+    /// Whether `f32` holds every value.
+    pub fn fits_f32(self) -> bool {
+        !matches!(self, Kind::I32 | Kind::U32 | Kind::F64)
+    }
+
+    /// One more than the largest value that it can hold as an index.
+    pub fn index_limit(self) -> u64 {
+        match self {
+            Kind::I8 => 1 << 7,
+            Kind::U8 => 1 << 8,
+            Kind::I16 => 1 << 15,
+            Kind::U16 => 1 << 16,
+            Kind::I32 => 1 << 31,
+            _ => 1 << 32,
+        }
+    }
+
+    fn of(scalar: &ScalarType) -> Kind {
+        match scalar {
+            ScalarType::Char => Kind::I8,
+            ScalarType::UChar => Kind::U8,
+            ScalarType::Short => Kind::I16,
+            ScalarType::UShort => Kind::U16,
+            ScalarType::Int => Kind::I32,
+            ScalarType::UInt => Kind::U32,
+            ScalarType::Float => Kind::F32,
+            ScalarType::Double => Kind::F64,
+        }
+    }
+}
+
+/// What a property is to this program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Role {
+    /// Coordinate 0, 1 or 2 of a vertex.
+    Axis(usize),
+    /// The corners of a face.
+    Corners,
+    /// Skipped.
+    Other,
+}
+
+/// One number, or a counted list of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Shape {
+    Scalar(Kind),
+    List { count: Kind, item: Kind },
+}
+
+/// A property of an element.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Property {
+    pub role: Role,
+    pub shape: Shape,
+}
+
+/// An element: `count` records of the same properties.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Element {
+    /// `vertex`, `face`, or `element` for any other.
+    pub kind: &'static str,
+    pub count: u64,
+    pub properties: Vec<Property>,
+}
+
+impl Element {
+    /// Bytes of a binary record whose lists have `corners` corners and nothing else.
+    pub fn bytes_with(&self, corners: u64) -> u64 {
+        let bytes = |p: &Property| match (p.shape, p.role) {
+            (Shape::Scalar(kind), _) => kind.bytes() as u64,
+            (Shape::List { count, item }, Role::Corners) => count.bytes() as u64 + corners * item.bytes() as u64,
+            (Shape::List { count, .. }, _) => count.bytes() as u64,
+        };
+        self.properties.iter().map(bytes).sum()
+    }
+
+    /// Lists among the properties.
+    pub fn lists(&self) -> usize {
+        self.properties.iter().filter(|p| matches!(p.shape, Shape::List { .. })).count()
+    }
+
+    /// Where in a binary record the property of a role begins, and its shape, if no other list is before it.
+    pub fn find(&self, role: Role) -> Option<(usize, Shape)> {
+        let i = self.properties.iter().position(|p| p.role == role)?;
+        let before = Element { properties: self.properties[..i].to_vec(), ..*self };
+        Some((before.bytes_with(0) as usize, self.properties[i].shape))
+    }
+}
+
+/// A header, checked as far as it can be without the payload.
+#[derive(Debug)]
+pub(super) struct Header {
+    pub encoding: Encoding,
+    /// Where the first element begins.
+    pub payload: u64,
+    pub elements: Vec<Element>,
+}
+
+/// Whether a file that begins like this is a PLY file.
+pub(super) fn is_ply(head: &[u8]) -> bool {
+    head.starts_with(b"ply") && head.get(3).is_none_or(u8::is_ascii_whitespace)
+}
+
+/// Reads the header.
+pub(super) fn read(input: &Input) -> Result<Header> {
+    let (bytes, payload) = header_bytes(input)?;
+    let cleaned = Cleaner::new(input).clean(&bytes)?;
+    let parsed = Parser::<DefaultElement>::new().read_header(&mut Reader::new(cleaned.as_bytes()));
+    let parsed = parsed.map_err(|e| Error::input(input.path(), format!("PLY header: {}", one_line(&e.to_string()))))?;
+    let elements = parsed.elements.values().map(element).collect();
+    Ok(Header { encoding: parsed.encoding, payload, elements })
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// The bytes up to `end_header`, and where the payload begins.
+fn header_bytes(input: &Input) -> Result<(Vec<u8>, u64)> {
+    let mut len = input.len().min(1 << 12);
+    loop {
+        let mut bytes = vec![0; len as usize];
+        input.read_at(&mut bytes, 0)?;
+        if let Some(end) = find_end(&bytes, len == input.len()) {
+            bytes.truncate(end);
+            return Ok((bytes, end as u64));
+        }
+        let most = input.len().min(HEADER_BYTES);
+        if len == most {
+            let what = if most < input.len() { "within a mebibyte" } else { "before the file ends" };
+            return Err(Error::input(input.path(), format!("the PLY header has no end_header line {what}")));
+        }
+        len = (len * 16).min(most);
+    }
+}
+
+/// One past the `end_header` line. A line ends at `\n`, unless the first one ends at a bare `\r`: then at `\r`, so that
+/// a binary payload may begin with any byte.
+fn find_end(bytes: &[u8], whole_file: bool) -> Option<usize> {
+    let ending = line_ending(bytes);
+    let mut from = 0;
+    while from < bytes.len() {
+        let len = bytes[from..].iter().position(|&b| b == ending);
+        let line = &bytes[from..len.map_or(bytes.len(), |n| from + n)];
+        if line.trim_ascii() == b"end_header" && (len.is_some() || whole_file) {
+            return Some((from + line.len() + 1).min(bytes.len()));
+        }
+        from += line.len() + 1;
+    }
+    None
+}
+
+fn line_ending(bytes: &[u8]) -> u8 {
+    match bytes.iter().position(|b| matches!(b, b'\r' | b'\n')) {
+        Some(i) if bytes[i] == b'\r' && bytes.get(i + 1) != Some(&b'\n') => b'\r',
+        _ => b'\n',
+    }
+}
+
+fn element(def: &ElementDef) -> Element {
+    let kind = match def.name.as_str() {
+        "vertex" => "vertex",
+        "face" => "face",
+        _ => "element",
+    };
+    let has_indices = def.properties.contains_key("vertex_indices");
+    let property = |(name, def): (&String, &ply_rs::ply::PropertyDef)| {
+        let shape = match &def.data_type {
+            PropertyType::Scalar(kind) => Shape::Scalar(Kind::of(kind)),
+            PropertyType::List(count, item) => Shape::List { count: Kind::of(count), item: Kind::of(item) },
+        };
+        let role = match (kind, name.as_str()) {
+            ("vertex", "x") => Role::Axis(0),
+            ("vertex", "y") => Role::Axis(1),
+            ("vertex", "z") => Role::Axis(2),
+            ("face", "vertex_indices") => Role::Corners,
+            ("face", "vertex_index") if !has_indices => Role::Corners,
+            _ => Role::Other,
+        };
+        Property { role, shape }
+    };
+    Element { kind, count: def.count as u64, properties: def.properties.iter().map(property).collect() }
+}
+
+/// Copies a header so that the parser takes it and nothing that matters is lost.
+struct Cleaner<'a> {
+    input: &'a Input,
+    line: Item,
+    byte: u64,
+    seen: Vec<String>,
+}
+
+impl<'a> Cleaner<'a> {
+    fn new(input: &'a Input) -> Self {
+        Cleaner { input, line: Item { kind: "header line", ordinal: 0 }, byte: 0, seen: Vec::new() }
+    }
+
+    fn clean(mut self, header: &[u8]) -> Result<String> {
+        let ending = line_ending(header);
+        let mut cleaned = String::new();
+        for line in header.split(|&b| b == ending) {
+            self.clean_line(line, &mut cleaned)?;
+            self.byte += line.len() as u64 + 1;
+            self.line.ordinal += 1;
+        }
+        Ok(cleaned)
+    }
+
+    fn clean_line(&mut self, line: &[u8], cleaned: &mut String) -> Result<()> {
+        let line = String::from_utf8_lossy(line.trim_ascii());
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        let words = match words[..] {
+            [] | ["comment" | "obj_info", ..] => return Ok(()),
+            ["element", name, count] => {
+                self.seen.retain(|s| s.starts_with("element "));
+                self.check_count(count)?;
+                vec!["element".into(), self.name("element", name, &["vertex", "face"])?, count.into()]
+            }
+            ["property", "list", count, item, name] => {
+                self.check_types(&[count, item])?;
+                let name = self.name("property", name, &["x", "y", "z", "vertex_indices", "vertex_index"])?;
+                vec!["property".into(), "list".into(), count.into(), item.into(), name]
+            }
+            ["property", kind, name] => {
+                self.check_types(&[kind])?;
+                let name = self.name("property", name, &["x", "y", "z", "vertex_indices", "vertex_index"])?;
+                vec!["property".into(), kind.into(), name]
+            }
+            ["ply"] | ["format", _, _] | ["end_header"] => words.iter().map(|w| w.to_string()).collect(),
+            _ => return Err(self.error(format!("`{}` is not a line of a PLY header", shown(&line)))),
+        };
+        cleaned.push_str(&words.join(" "));
+        cleaned.push('\n');
+        Ok(())
+    }
+
+    /// The name, if it is one of those that matter, which must not come twice; else a number.
+    fn name(&mut self, what: &str, name: &str, known: &[&str]) -> Result<String> {
+        if !known.contains(&name) {
+            return Ok(format!("skipped_{}", self.line.ordinal));
+        }
+        let entry = format!("{what} {name}");
+        if self.seen.contains(&entry) {
+            return Err(self.error(format!("a second {entry}")));
+        }
+        self.seen.push(entry);
+        Ok(name.into())
+    }
+
+    fn check_count(&self, count: &str) -> Result<()> {
+        match count.parse::<u64>() {
+            Ok(_) if count.bytes().all(|b| b.is_ascii_digit()) => Ok(()),
+            _ => Err(self.error(format!("count `{}`, expected a number from 0 to 2^64 - 1", shown(count)))),
+        }
+    }
+
+    fn check_types(&self, types: &[&str]) -> Result<()> {
+        const TYPES: [&str; 16] = [
+            "char", "uchar", "short", "ushort", "int", "uint", "float", "double", "int8", "uint8", "int16", "uint16",
+            "int32", "uint32", "float32", "float64",
+        ];
+        match types.iter().find(|t| !TYPES.contains(t)) {
+            Some(other) => Err(self.error(format!("`{}` is not a type that PLY has", shown(other)))),
+            None => Ok(()),
+        }
+    }
+
+    fn error(&self, what: String) -> Error {
+        Error::input_at(self.input.path(), self.line, self.byte, what)
+    }
+}
+
+/// Text of a file as it can be shown: short, on one line, without control characters.
+pub(super) fn shown(text: &str) -> String {
+    let mut shown: String = text.chars().take(40).flat_map(char::escape_debug).collect();
+    if text.chars().nth(40).is_some() {
+        shown.push('…');
+    }
+    shown
+}
