@@ -1,11 +1,13 @@
 //! meshmill reduces huge scans in fixed memory.
 
 pub mod budget;
+pub mod cluster;
 pub mod collapse;
 pub mod error;
 pub mod job;
 pub mod mesh;
 pub mod pipeline;
+pub mod plan;
 pub mod progress;
 pub mod quadric;
 pub mod read;

@@ -1,0 +1,139 @@
+//! Open borders of the scan, held in place without connectivity.
+//!
+//! Clustering is a simplicial map, so an edge of the intermediate mesh with an odd number of faces can only come from open
+//! border of the scan: it shows which cells hold some. In those cells, each face's directed edges `x₀ → x₁` add
+//! `e₁ = Σ (x₁ − x₀)` and `e₂ = Σ x₀ × x₁` (Lindstrom and Silva, *A memory insensitive technique for large model
+//! simplification*, 2001): an interior edge is there once each way and cancels, exactly since these are integers, so what is
+//! left is border, and `|e₁ × x + e₂|²` is the squared distance from it times its squared length.
+//!
+//! It costs a second pass over the faces, and only scans with borders pay it.
+
+use super::corners::Sink;
+use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
+use super::table::CellTable;
+use crate::quadric::Quadric;
+use glam::DVec3;
+use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
+
+/// Cells on an edge with an odd number of faces, as flags by the triples' own numbering.
+pub(super) fn open_cells(triples: &[[u32; 3]], cells: usize) -> Vec<bool> {
+    // Edges by their lesser end: a counting sort of the greater ends.
+    let mut starts = vec![0u32; cells + 1];
+    let edges = || triples.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v)));
+    for (u, _) in edges() {
+        starts[u as usize + 1] += 1;
+    }
+    for i in 0..cells {
+        starts[i + 1] += starts[i];
+    }
+    let mut ends = vec![0u32; triples.len() * 3];
+    for (u, v) in edges() {
+        let at = &mut starts[u as usize];
+        ends[*at as usize] = v;
+        *at += 1;
+    }
+    // Each start is now the next one's.
+    let mut open = vec![false; cells];
+    let mut first = 0;
+    for u in 0..cells {
+        let ends = &mut ends[first..starts[u] as usize];
+        first = starts[u] as usize;
+        ends.sort_unstable();
+        for same in ends.chunk_by(|v, w| v == w).filter(|same| same.len() % 2 == 1) {
+            open[u] = true;
+            open[same[0] as usize] = true;
+        }
+    }
+    open
+}
+
+/// Cells without border.
+const CLOSED: u32 = u32::MAX;
+
+/// The border sums of all open cells.
+pub(super) struct Borders {
+    /// Each cell's place in `sums`, or [`CLOSED`].
+    slots: Vec<u32>,
+    /// `e₁` and `e₂` in steps, about the cell's least corner, modulo 2⁶⁴.
+    sums: Vec<[AtomicI64; 6]>,
+}
+
+impl Borders {
+    /// Sums of zero for the cells whose `ranks` are open; `None` when none is.
+    pub(super) fn new(open: &[bool], ranks: &[u32]) -> Option<Self> {
+        let mut next = 0;
+        let mut slot = |rank: &u32| {
+            if !open[*rank as usize] {
+                return CLOSED;
+            }
+            next += 1;
+            next - 1
+        };
+        let slots: Vec<u32> = ranks.iter().map(&mut slot).collect();
+        (next > 0).then(|| Borders { slots, sums: bytemuck::zeroed_vec(next as usize) })
+    }
+
+    /// Number of open cells.
+    pub(super) fn len(&self) -> usize {
+        self.sums.len()
+    }
+
+    /// Adds the edge between two positions in steps from the least corner of a cell.
+    fn add(&self, slot: u32, from: [i64; 3], to: [i64; 3]) {
+        let minor = |i: usize, j: usize| i64::wrapping_sub(from[i].wrapping_mul(to[j]), from[j].wrapping_mul(to[i]));
+        let e = [to[0] - from[0], to[1] - from[1], to[2] - from[2], minor(1, 2), minor(2, 0), minor(0, 1)];
+        for (sum, x) in self.sums[slot as usize].iter().zip(e) {
+            sum.fetch_add(x, Relaxed);
+        }
+    }
+
+    /// `|e₁ × x + e₂|²` about the centre of a cell, lengths in cells. Zero for a cell without border.
+    pub(super) fn quadric(&self, cell: u32) -> Quadric {
+        let slot = self.slots[cell as usize];
+        if slot == CLOSED {
+            return Quadric::default();
+        }
+        let [a, b, c, d, e, f] = self.sums[slot as usize].each_ref().map(|x| x.load(Relaxed) as f64);
+        let e1 = DVec3::new(a, b, c) / STEPS;
+        let e2 = DVec3::new(d, e, f) / (STEPS * STEPS) + e1.cross(DVec3::splat(0.5));
+        let (n, m) = (e1.length_squared(), e1);
+        let a = [n - m.x * m.x, -m.x * m.y, -m.x * m.z, n - m.y * m.y, -m.y * m.z, n - m.z * m.z];
+        Quadric { a, b: e2.cross(e1), c: e2.length_squared(), w: 0.0 }
+    }
+}
+
+/// One worker of the border pass.
+pub(super) struct BorderWorker<'a> {
+    pub(super) table: &'a CellTable,
+    pub(super) borders: &'a Borders,
+}
+
+impl BorderWorker<'_> {
+    #[cold]
+    fn add(&self, face: [Corner; 3], slots: [u32; 3]) {
+        let at = face.map(|corner| coordinates(self.table.key(corner.cell())));
+        let place = |corner: usize, about: usize| -> [i64; 3] {
+            let local = face[corner].local();
+            std::array::from_fn(|k| ((at[corner][k] - at[about][k]) << LOCAL_BITS) + i64::from(local[k]))
+        };
+        for (from, to) in [(0, 1), (1, 2), (2, 0)] {
+            if slots[from] != CLOSED {
+                self.borders.add(slots[from], place(from, from), place(to, from));
+            }
+            if slots[to] != CLOSED && slots[to] != slots[from] {
+                self.borders.add(slots[to], place(from, to), place(to, to));
+            }
+        }
+    }
+}
+
+impl Sink for BorderWorker<'_> {
+    fn take(&mut self, faces: &[[Corner; 3]]) {
+        for face in faces {
+            let slots = face.map(|corner| self.borders.slots[corner.cell() as usize]);
+            if slots != [CLOSED; 3] {
+                self.add(*face, slots);
+            }
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! Binning vertices, and faces as triples of binned corners, whatever layout and order the scan has.
+//!
+//! An indexed scan's vertices are binned once, into the [`Spill`]; a face then gathers its corners there: from memory when
+//! the spill is resident, through a page cache when faces come in an order that keeps to a few pages, and by a join through
+//! buckets on scratch when they do not. A soup's corners are binned as they come.
+
+use super::grid::{Corner, Grid};
+use super::join;
+use super::spill::{PageCache, Spill, SpillFile};
+use super::table::CellTable;
+use crate::error::Result;
+use crate::read::{Crew, Scan};
+use crate::scratch::Scratch;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
+pub(super) const BATCH: usize = 1024;
+
+/// Takes faces with binned corners; one a worker.
+pub(super) trait Sink: Send {
+    /// Faces that repeat no vertex and whose corners are all somewhere.
+    fn take(&mut self, faces: &[[Corner; 3]]);
+}
+
+/// Where a face's corners come from.
+pub(super) enum Corners<'a> {
+    /// From memory.
+    Resident(&'a [AtomicU64]),
+    /// From a spill file through a page cache a worker.
+    Paged(&'a SpillFile),
+    /// From a spill file by a join that may hold `resident_bytes` of it.
+    Joined { spill: &'a SpillFile, scratch: &'a Scratch, resident_bytes: u64 },
+    /// Binned as they come.
+    Soup(&'a Grid, &'a CellTable),
+}
+
+/// A sink with the faces that are on their way to it, and what was found on the way.
+pub(super) struct Feed<K> {
+    pub(super) sink: K,
+    faces: Vec<[Corner; 3]>,
+    /// Faces that repeat a corner.
+    pub(super) repeated: u64,
+    /// The first vertex that a face uses and that is nowhere.
+    pub(super) nowhere: Option<u32>,
+}
+
+impl<K: Sink> Feed<K> {
+    pub(super) fn new(sink: K) -> Self {
+        Feed { sink, faces: Vec::with_capacity(BATCH), repeated: 0, nowhere: None }
+    }
+
+    #[inline(always)]
+    pub(super) fn push(&mut self, face: [Corner; 3]) {
+        self.faces.push(face);
+        if self.faces.len() == BATCH {
+            self.deliver();
+        }
+    }
+
+    /// Hands over what has gathered.
+    pub(super) fn deliver(&mut self) {
+        self.sink.take(&self.faces);
+        self.faces.clear();
+    }
+
+    #[cold]
+    pub(super) fn miss(&mut self, vertex: u32) {
+        self.nowhere = Some(self.nowhere.map_or(vertex, |v| v.min(vertex)));
+    }
+
+    /// Resolves a triangle's corners and takes it along, unless it repeats a vertex or a corner is nowhere.
+    #[inline(always)]
+    fn gather(&mut self, [a, b, c]: [u32; 3], mut corner: impl FnMut(u32) -> Result<Corner>) -> Result<()> {
+        if a == b || b == c || c == a {
+            self.repeated += 1;
+            return Ok(());
+        }
+        let face = [corner(a)?, corner(b)?, corner(c)?];
+        if face.contains(&Corner::NOWHERE) {
+            for (vertex, corner) in [a, b, c].into_iter().zip(face) {
+                if corner == Corner::NOWHERE {
+                    self.miss(vertex);
+                }
+            }
+            return Ok(());
+        }
+        self.push(face);
+        Ok(())
+    }
+}
+
+/// Bins every vertex into the spill. Check the table afterwards: when it is full, the spill is worth nothing.
+pub(super) fn bin_vertices(scan: &Scan, crew: &Crew, grid: &Grid, table: &CellTable, spill: &Spill) -> Result<()> {
+    let bin = |p: &[f64; 3]| match grid.steps(*p) {
+        Some(steps) => Corner::new(table.number(steps).unwrap_or(0), steps),
+        None => Corner::NOWHERE,
+    };
+    scan.vertices(crew, Vec::new, |corners: &mut Vec<Corner>, chunk| {
+        if table.is_full() {
+            return Ok(());
+        }
+        corners.clear();
+        corners.extend(chunk.positions.iter().map(bin));
+        spill.write(chunk.first, corners)
+    })?;
+    Ok(())
+}
+
+/// Streams every face of the scan to sinks, one a worker.
+pub(super) fn stream<K: Sink>(
+    scan: &Scan,
+    crew: &Crew,
+    corners: &Corners,
+    sink: impl Fn() -> K + Sync,
+) -> Result<Vec<Feed<K>>> {
+    let mut feeds = match corners {
+        Corners::Resident(all) => scan.triangles(
+            crew,
+            || Feed::new(sink()),
+            |feed, chunk| {
+                for triangle in chunk.triangles {
+                    feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                }
+                Ok(())
+            },
+        )?,
+        Corners::Paged(spill) => {
+            let worker = || (Feed::new(sink()), PageCache::new(spill));
+            let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
+                for triangle in chunk.triangles {
+                    feed.gather(*triangle, |v| pages.get(v))?;
+                }
+                Ok(())
+            })?;
+            feeds.into_iter().map(|(feed, _)| feed).collect()
+        }
+        Corners::Joined { spill, scratch, resident_bytes } => {
+            join::stream(scan, crew, spill, scratch, *resident_bytes, sink)?
+        }
+        Corners::Soup(grid, table) => soup(scan, crew, grid, table, sink)?,
+    };
+    feeds.iter_mut().for_each(Feed::deliver);
+    Ok(feeds)
+}
+
+fn soup<K: Sink>(
+    scan: &Scan,
+    crew: &Crew,
+    grid: &Grid,
+    table: &CellTable,
+    sink: impl Fn() -> K + Sync,
+) -> Result<Vec<Feed<K>>> {
+    let bin = |p: [f64; 3]| {
+        let steps = grid.steps(p)?;
+        Some(Corner::new(table.number(steps)?, steps))
+    };
+    scan.soup(
+        crew,
+        || Feed::new(sink()),
+        |feed, chunk| {
+            if table.is_full() {
+                return Ok(());
+            }
+            for &[a, b, c] in chunk.triangles {
+                if a == b || b == c || c == a {
+                    feed.repeated += 1;
+                } else if let (Some(a), Some(b), Some(c)) = (bin(a), bin(b), bin(c)) {
+                    feed.push([a, b, c]);
+                }
+            }
+            Ok(())
+        },
+    )
+}

@@ -1,0 +1,315 @@
+//! Streaming vertex clustering with quadric representatives, in fixed memory.
+
+mod border;
+mod corners;
+mod faces;
+mod grid;
+mod join;
+mod represent;
+mod sizing;
+mod spill;
+mod sums;
+mod survivors;
+mod table;
+
+use crate::error::{Error, Result};
+use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh};
+use crate::quadric::PackedQuadric;
+use crate::read::{Crew, Layout, Scan};
+use crate::scratch::Scratch;
+use border::{BorderWorker, Borders};
+use corners::{Corners, Feed};
+use faces::FaceWorker;
+use glam::DVec3;
+use grid::Grid;
+use represent::Evidence;
+use sizing::{SPARSE, Sizing};
+use spill::Spill;
+use sums::{Sums, Totals};
+use survivors::Survivors;
+use table::CellTable;
+
+/// Where a cell's representative goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Representative {
+    /// The point nearest, in the mean square, to the planes of all faces that touch the cell; kept within the cell.
+    #[default]
+    Quadric,
+    /// The mean of the surface in the cell.
+    Mean,
+}
+
+/// What a clustering may use and how it places.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClusterOptions {
+    /// Where representatives go.
+    pub representative: Representative,
+    /// Cells that the table has room for.
+    pub cells: usize,
+    /// Surviving faces that may be held, coincident ones included.
+    pub raw_faces: usize,
+    /// How much of the binned vertices may be in memory: all of them, if they fit, else a range of a join.
+    pub spill_resident_bytes: u64,
+    /// Weight of open borders against the surface.
+    pub boundary_weight: f64,
+}
+
+/// A clustered scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Clustered<S> {
+    /// A vertex a cell that a surviving face uses, in Morton order; faces sorted.
+    pub mesh: IndexedMesh<S>,
+    /// Between the file's units and the mesh's.
+    pub frame: Frame,
+    /// What each vertex's cell has learnt, about the vertex, in the frame.
+    pub quadrics: Vec<PackedQuadric>,
+    /// What was counted.
+    pub stats: ClusterStats,
+}
+
+/// What a clustering counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ClusterStats {
+    /// Cells that hold a vertex.
+    pub occupied_cells: u64,
+    /// Side of a cell in the file's units.
+    pub cell_size: f64,
+    /// Passes over the vertices (a soup: over the faces) until the cells were right.
+    pub attempts: u32,
+    /// How many of them overflowed.
+    pub overflows: u32,
+    /// Faces that repeat a corner in the scan itself.
+    pub repeated_corner_faces: u64,
+    /// Faces with corners in three cells, coincident ones included.
+    pub surviving_faces: u64,
+    /// Pairs of coincident faces of opposite orientation that were taken out.
+    pub opposite_pairs: u64,
+    /// Cells with open border.
+    pub border_cells: u64,
+    /// Cells whose sums outgrew 32 bits.
+    pub outgrown_cells: u64,
+    /// The most bytes that scratch held at one time.
+    pub scratch_bytes: u64,
+}
+
+/// Clusters a scan.
+pub fn cluster<S: Coordinate>(
+    scan: &Scan,
+    crew: &Crew,
+    scratch: &Scratch,
+    options: &ClusterOptions,
+) -> Result<Clustered<S>> {
+    let extent = extent(scan, crew)?;
+    let frame = Frame::of(&extent);
+    let sample = scan.sample(crew, SAMPLE)?;
+    let coherent = sample.blocks_per_triangle < COHERENT;
+    let mut sizing = Sizing::of(&sample, frame, scan.triangle_count(), scan.vertex_count(), options.cells);
+    drop(sample);
+    let mut run =
+        Run { scan, crew, scratch, options, frame, min: extent.min, coherent, stats: ClusterStats::default() };
+    let learnt = loop {
+        run.stats.attempts += 1;
+        if let Some(learnt) = run.attempt(&mut sizing)? {
+            break learnt;
+        }
+        crew.progress.check()?;
+    };
+    run.finish(learnt)
+}
+
+/// Triangles that are looked at to choose the size of cells.
+const SAMPLE: usize = 20_000;
+/// Blocks of 512 vertices that a face touches in a scan in sensible order, at most.
+const COHERENT: f64 = 0.3;
+/// Overflows after which cells double.
+const PATIENCE: u32 = 3;
+
+fn extent(scan: &Scan, crew: &Crew) -> Result<Extent> {
+    let include = |extent: &mut Extent, p: &[f64; 3]| extent.include(DVec3::from(*p));
+    let extents = match scan.layout() {
+        Layout::Indexed => scan.vertices(crew, Extent::default, |extent, chunk| {
+            chunk.positions.iter().for_each(|p| include(extent, p));
+            Ok(())
+        })?,
+        Layout::Soup => scan.soup(crew, Extent::default, |extent, chunk| {
+            chunk.triangles.as_flattened().iter().for_each(|p| include(extent, p));
+            Ok(())
+        })?,
+    };
+    Ok(extents.into_iter().fold(Extent::default(), Extent::union))
+}
+
+/// A clustering under way.
+struct Run<'a> {
+    scan: &'a Scan,
+    crew: &'a Crew<'a>,
+    scratch: &'a Scratch,
+    options: &'a ClusterOptions,
+    frame: Frame,
+    min: DVec3,
+    coherent: bool,
+    stats: ClusterStats,
+}
+
+/// What an attempt that did not overflow leaves.
+struct Learnt {
+    grid: Grid,
+    table: CellTable,
+    spill: Option<Spill>,
+    quantum: f64,
+    totals: Totals,
+    triples: Vec<[u32; 3]>,
+}
+
+impl Run<'_> {
+    /// One turn with cells of the size that `sizing` now says; `None` if another size is to be tried.
+    fn attempt(&mut self, sizing: &mut Sizing) -> Result<Option<Learnt>> {
+        let overflows = self.stats.overflows;
+        let doubled = f64::from(1u32 << overflows.saturating_sub(PATIENCE).min(24));
+        let grid = Grid::new(self.frame, self.min, sizing.side() * doubled);
+        let table = CellTable::new(self.options.cells);
+        let mut spill = None;
+        let mut cells = sizing.occupied(grid.cell).max(1.0);
+        if self.scan.layout() == Layout::Indexed {
+            let s = Spill::new(self.scan.vertex_count(), self.options.spill_resident_bytes, self.scratch)?;
+            corners::bin_vertices(self.scan, self.crew, &grid, &table, &s)?;
+            if table.is_full() {
+                drop((table, s));
+                return self.overflowed(&grid, sizing);
+            }
+            if self.is_sparse(&grid, &table, sizing) {
+                return Ok(None);
+            }
+            cells = (table.len() as f64).max(1.0);
+            spill = Some(s);
+        }
+        let quantum = quantum(sizing.area / (cells * grid.cell * grid.cell));
+        let sums = Sums::new(if spill.is_some() { table.len() } else { self.options.cells });
+        let survivors = Survivors::new(self.options.raw_faces);
+        let worker = || FaceWorker::new(&table, &sums, &survivors, quantum);
+        let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+        self.check(&feeds)?;
+        self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
+        for mut feed in feeds {
+            feed.sink.flush();
+        }
+        if table.is_full() {
+            drop((table, sums, survivors));
+            return self.overflowed(&grid, sizing);
+        }
+        if survivors.overflowed() {
+            self.stats.overflows += 1;
+            sizing.coarsen(survivors.count() as f64 / (0.9 * self.options.raw_faces as f64).max(1.0));
+            return Ok(None);
+        }
+        let (totals, triples) = (sums.into_totals(), survivors.into_triples());
+        Ok(Some(Learnt { grid, table, spill, quantum, totals, triples }))
+    }
+
+    /// Learns from a table that had no room.
+    fn overflowed<T>(&mut self, grid: &Grid, sizing: &mut Sizing) -> Result<Option<T>> {
+        self.stats.overflows += 1;
+        let (cells, blocks) = sizing::count(self.scan, self.crew, grid, self.options.cells)?;
+        sizing.learn(grid.cell, cells, blocks);
+        Ok(None)
+    }
+
+    /// Whether finer cells would fit, and learns how much finer.
+    fn is_sparse(&self, grid: &Grid, table: &CellTable, sizing: &mut Sizing) -> bool {
+        let capacity = self.options.cells as f64;
+        if self.stats.overflows > 0 || self.stats.attempts > 2 || table.len() as f64 >= SPARSE * capacity {
+            return false;
+        }
+        sizing.learn(grid.cell, table.len() as f64, table.blocks() as f64);
+        sizing.side().max(Grid::finest()) < 0.93 * grid.cell
+    }
+
+    fn corners<'b>(&'b self, spill: &'b Option<Spill>, grid: &'b Grid, table: &'b CellTable) -> Corners<'b> {
+        match spill {
+            None => Corners::Soup(grid, table),
+            Some(Spill::Resident(all)) => Corners::Resident(all),
+            Some(Spill::Filed(spill)) if self.coherent => Corners::Paged(spill),
+            Some(Spill::Filed(spill)) => {
+                let resident_bytes = self.options.spill_resident_bytes;
+                Corners::Joined { spill, scratch: self.scratch, resident_bytes }
+            }
+        }
+    }
+
+    fn check<K>(&self, feeds: &[Feed<K>]) -> Result<()> {
+        match feeds.iter().filter_map(|feed| feed.nowhere).min() {
+            None => Ok(()),
+            Some(vertex) => Err(self.nowhere(vertex)),
+        }
+    }
+
+    fn nowhere(&self, vertex: u32) -> Error {
+        let what = "a coordinate is not finite, but a face uses the vertex".into();
+        self.scan.vertex_error(u64::from(vertex), what)
+    }
+
+    /// Nets the survivors, holds borders, places representatives.
+    fn finish<S: Coordinate>(mut self, learnt: Learnt) -> Result<Clustered<S>> {
+        let Learnt { grid, mut table, spill, quantum, totals, mut triples } = learnt;
+        let ranks = table.ranks();
+        self.stats.occupied_cells = ranks.len() as u64;
+        self.stats.surviving_faces = triples.len() as u64;
+        self.stats.outgrown_cells = totals.outgrown() as u64;
+        self.stats.cell_size = self.frame.to_file(grid.cell);
+        self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, self.crew)?;
+        let borders = Borders::new(&border::open_cells(&triples, ranks.len()), &ranks);
+        if let Some(borders) = &borders {
+            self.stats.border_cells = borders.len() as u64;
+            let worker = || BorderWorker { table: &table, borders };
+            corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+        }
+        drop(spill);
+        self.stats.scratch_bytes = self.scratch.bytes();
+        table.keep_keys();
+        let cells = compact(&mut triples, ranks);
+        let evidence = Evidence {
+            representative: self.options.representative,
+            grid: &grid,
+            table: &table,
+            totals: &totals,
+            quantum,
+            borders: borders.as_ref(),
+            boundary_weight: self.options.boundary_weight,
+        };
+        let (positions, quadrics) = evidence.represent(&cells, self.crew);
+        let mesh = IndexedMesh { positions, faces: triples };
+        Ok(Clustered { mesh, frame: self.frame, quadrics, stats: self.stats })
+    }
+}
+
+/// The unit of weight, in cells², for cells that touch `mean_area` cells² of surface on average. A face counts for up to three
+/// cells, so the mean weight is at most three times that, and at most one cell in 85 has more than the 256 times that a
+/// line holds: the side table stays below 3 bytes a cell. A face of a fiftieth of a cell still weighs 10⁵ quanta.
+fn quantum(mean_area: f64) -> f64 {
+    let line = 256.0 * mean_area;
+    if line.is_finite() && line > 0.0 { line / (1u64 << 31) as f64 } else { 1.0 / (1 << 24) as f64 }
+}
+
+/// Drops cells that no triple uses and renumbers the rest without gaps. Returns the number each had in the table.
+fn compact(triples: &mut [[u32; 3]], ranks: Vec<u32>) -> Vec<u32> {
+    const UNUSED: u32 = u32::MAX;
+    let mut numbers = vec![UNUSED; ranks.len()];
+    for rank in triples.as_flattened() {
+        numbers[*rank as usize] = 0;
+    }
+    let mut next = 0;
+    for number in numbers.iter_mut().filter(|n| **n != UNUSED) {
+        *number = next;
+        next += 1;
+    }
+    for rank in triples.as_flattened_mut() {
+        *rank = numbers[*rank as usize];
+    }
+    let mut cells = vec![0; next as usize];
+    for (cell, rank) in ranks.into_iter().enumerate() {
+        if let Some(place) = cells.get_mut(numbers[rank as usize] as usize) {
+            *place = cell as u32;
+        }
+    }
+    cells
+}

@@ -1,0 +1,91 @@
+//! Representatives: where each cell's vertex goes, and the quadric it takes along.
+
+use super::Representative;
+use super::border::Borders;
+use super::grid::Grid;
+use super::sums::{LANES, Totals};
+use super::table::CellTable;
+use crate::mesh::{Coordinate, narrow, widen};
+use crate::quadric::{PackedQuadric, Quadric};
+use crate::read::Crew;
+use glam::DVec3;
+
+/// How hard the mean pulls: strong enough that noise does not decide along directions about which the planes say little,
+/// too weak to round an edge.
+const PULL: f64 = 1e-3;
+
+/// All that a representative is made of.
+pub(super) struct Evidence<'a> {
+    pub(super) representative: Representative,
+    pub(super) grid: &'a Grid,
+    pub(super) table: &'a CellTable,
+    pub(super) totals: &'a Totals,
+    /// Unit of weight, in cells².
+    pub(super) quantum: f64,
+    pub(super) borders: Option<&'a Borders>,
+    pub(super) boundary_weight: f64,
+}
+
+impl Evidence<'_> {
+    /// Positions and quadrics of `cells`, in their order, a share a worker.
+    pub(super) fn represent<S: Coordinate>(&self, cells: &[u32], crew: &Crew) -> (Vec<[S; 3]>, Vec<PackedQuadric>) {
+        let mut positions = vec![[S::narrow(0.0); 3]; cells.len()];
+        let mut quadrics = vec![PackedQuadric::default(); cells.len()];
+        let share = cells.len().div_ceil(crew.workers.max(1)).max(1);
+        std::thread::scope(|scope| {
+            let parts = positions.chunks_mut(share).zip(quadrics.chunks_mut(share)).zip(cells.chunks(share));
+            for ((positions, quadrics), cells) in parts {
+                scope.spawn(move || {
+                    for ((position, quadric), cell) in positions.iter_mut().zip(quadrics).zip(cells) {
+                        (*position, *quadric) = self.of(*cell);
+                    }
+                });
+            }
+        });
+        (positions, quadrics)
+    }
+
+    fn of<S: Coordinate>(&self, cell: u32) -> ([S; 3], PackedQuadric) {
+        let (mut quadric, mean) = self.learnt(cell);
+        if let Some(borders) = self.borders {
+            let border = borders.quadric(cell);
+            let w = self.boundary_weight;
+            quadric += Quadric { a: border.a.map(|x| x * w), b: border.b * w, c: border.c * w, w: 0.0 };
+        }
+        let local = match self.representative {
+            Representative::Mean => mean,
+            Representative::Quadric => place(&quadric, mean),
+        };
+        let key = self.table.key(cell);
+        let position = narrow::<S>(self.grid.position(key, local));
+        // The quadric goes about the position as it is stored.
+        let h = self.grid.cell;
+        let stored = (widen(position) - self.grid.position(key, DVec3::ZERO)) / h;
+        let q = quadric.shifted(stored);
+        let area = h * h;
+        let framed = Quadric { a: q.a.map(|x| x * area), b: q.b * (area * h), c: q.c * (area * area), w: q.w * area };
+        (position, framed.pack())
+    }
+
+    /// A cell's quadric and mean about its centre, lengths in cells.
+    fn learnt(&self, cell: u32) -> (Quadric, DVec3) {
+        let lanes: [f64; LANES] = self.totals.of(cell).map(|x| x as f64);
+        let [a0, a1, a2, b0, a3, a4, b1, a5, b2, c, w, x, y, z] = lanes;
+        let mean = if w > 0.0 { DVec3::new(x, y, z) / w } else { DVec3::ZERO };
+        let a = [a0, a1, a2, a3, a4, a5].map(|x| x * self.quantum);
+        let b = DVec3::new(b0, b1, b2) * self.quantum;
+        (Quadric { a, b, c: c * self.quantum, w: w * self.quantum }, mean)
+    }
+}
+
+/// Where the quadric is least, along the way there from the mean as far as the cell goes.
+fn place(quadric: &Quadric, mean: DVec3) -> DVec3 {
+    let Some(least) = quadric.minimiser(mean, PULL) else { return mean };
+    let way = least - mean;
+    let mut share = 1.0f64;
+    for axis in 0..3 {
+        let room = 0.5 - mean[axis].abs().copysign(mean[axis] * way[axis]);
+        share = share.min(room.max(0.0) / way[axis].abs().max(f64::MIN_POSITIVE));
+    }
+    mean + share * way
+}

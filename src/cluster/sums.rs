@@ -1,0 +1,259 @@
+//! What each cell learns from its faces: a quadric and first moments, in integers.
+//!
+//! A cell's sums are 14 numbers in fixed point about the cell's centre, with the cell's side as unit of length: `A` (6), `b`
+//! (3), `c`, `w` and `Σ w·p` (3). Integers make the sums independent of the order of faces, of the threads and of how a scan
+//! is cut up. With a unit normal, a plane through a point of the cell and |p| ≤ ½, no lane of a contribution is larger than
+//! its weight, so one comparison of weights guards all 14 against overflow of their 32 bits; a line that would overflow moves
+//! to a side table of 64-bit sums. Which cells have a line there is decided by their weight alone.
+//!
+//! Lines are 64 bytes with their lock. Locking one for every contribution would cost more than the arithmetic, so each
+//! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row.
+
+use glam::{Vec3A, Vec4, Vec4Swizzles};
+use rustc_hash::FxHashMap;
+use std::sync::Mutex;
+
+/// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
+pub(super) const LANES: usize = 14;
+/// The lane of the weight.
+const WEIGHT: usize = 10;
+/// Lanes of a contribution: the same, with two unused before the weight, so that four vectors make it.
+const PADDED: usize = 16;
+/// The lane of a contribution's weight.
+const PADDED_WEIGHT: usize = 12;
+/// Largest weight of a line, with some room for the rounding of single contributions.
+const LIMIT: i64 = (1 << 31) - (1 << 20);
+/// Largest weight of one contribution: 2¹⁴ of them do not overflow a side sum. A face of that weight has thousands of times
+/// the area that the whole scan was estimated to have.
+const HEAVIEST: f32 = (1u64 << 48) as f32;
+
+/// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.
+const CACHED: usize = 2048;
+/// The owner of an empty line.
+const NOBODY: u32 = u32::MAX;
+
+/// Bytes of a cell's line.
+pub(super) const LINE_BYTES: usize = size_of::<Line>();
+/// Bytes of a worker's cache.
+pub(super) const CACHE_BYTES: usize = CACHED * (size_of::<Cached>() + 4);
+
+#[derive(Default)]
+#[repr(align(64))]
+struct Line(Mutex<[i32; LANES]>);
+
+/// The sums of all cells.
+pub(super) struct Sums {
+    lines: Vec<Line>,
+    side: Mutex<FxHashMap<u32, [i64; LANES]>>,
+}
+
+/// One face's share in a cell, in quanta: about the cell's centre, lengths in cells. Single precision is finer than the
+/// rounding to quanta that follows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Share([f32; PADDED]);
+
+impl Share {
+    /// The plane with unit normal `n` (zero for a face without area) through `p`, and `p` itself, with weight `w` ≥ 1.
+    #[inline(always)]
+    pub(super) fn new(n: Vec3A, p: Vec3A, w: f32) -> Self {
+        let w = w.min(HEAVIEST);
+        let u = n.extend(-n.dot(p));
+        let m = u * w;
+        let mut lanes = [0.0; PADDED];
+        (u * m.xxxx()).write_to_slice(&mut lanes[0..]);
+        (u.yzwz() * m.yyyz()).write_to_slice(&mut lanes[4..]);
+        (u.wwww() * m.zwww()).write_to_slice(&mut lanes[8..]);
+        (Vec4::new(1.0, p.x, p.y, p.z) * w).write_to_slice(&mut lanes[12..]);
+        Share(lanes)
+    }
+}
+
+/// 2^52 + 2^51: adding it leaves a double's nearest integer in the low bits of its mantissa, sign included.
+const ROUNDER: f64 = 6_755_399_441_055_744.0;
+
+/// A line in a worker's cache.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Cached([i32; PADDED]);
+
+/// A worker's access to the sums. Nothing counts until [`Gatherer::flush`].
+pub(super) struct Gatherer<'a> {
+    sums: &'a Sums,
+    cache: Box<[Cached; CACHED]>,
+    owners: Box<[u32; CACHED]>,
+}
+
+impl<'a> Gatherer<'a> {
+    pub(super) fn new(sums: &'a Sums) -> Self {
+        Gatherer { sums, cache: Box::new([Cached([0; PADDED]); CACHED]), owners: Box::new([NOBODY; CACHED]) }
+    }
+
+    /// Adds a face's share to a cell.
+    #[inline(always)]
+    pub(super) fn add(&mut self, cell: u32, share: &Share) {
+        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
+            let wide = share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() - ROUNDER.to_bits()) as i64);
+            return self.sums.add_aside(cell, &unpad(&wide));
+        }
+        // A weight at the limit still fits 32 bits, and the other lanes are no larger.
+        let share = share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32);
+        let place = cell as usize % CACHED;
+        let line = &mut self.cache[place].0;
+        if self.owners[place] != cell || i64::from(line[PADDED_WEIGHT]) + i64::from(share[PADDED_WEIGHT]) > LIMIT {
+            self.sums.write_back(self.owners[place], line);
+            self.owners[place] = cell;
+        }
+        for (sum, x) in line.iter_mut().zip(share) {
+            *sum = sum.wrapping_add(x);
+        }
+    }
+
+    /// Hands all that was gathered to the sums.
+    pub(super) fn flush(&mut self) {
+        for (line, owner) in self.cache.iter_mut().zip(&mut *self.owners) {
+            self.sums.write_back(*owner, &mut line.0);
+            *owner = NOBODY;
+        }
+    }
+}
+
+/// A contribution's or a cached line's lanes without the unused ones.
+#[inline(always)]
+fn unpad<T: Copy>(lanes: &[T; PADDED]) -> [T; LANES] {
+    std::array::from_fn(|i| lanes[if i < WEIGHT { i } else { i + PADDED - LANES }])
+}
+
+impl Sums {
+    /// Sums of zero for `cells` cells.
+    pub(super) fn new(cells: usize) -> Self {
+        let mut lines = Vec::new();
+        lines.resize_with(cells, Line::default);
+        Sums { lines, side: Mutex::default() }
+    }
+
+    /// Adds a cached line to its owner's and empties it.
+    #[inline(never)]
+    fn write_back(&self, owner: u32, cached: &mut [i32; PADDED]) {
+        let gathered = unpad(&std::mem::replace(cached, [0; PADDED]));
+        let Some(line) = self.lines.get(owner as usize) else { return };
+        // A worker that panicked has left nothing half done here: lanes are added without a call that could.
+        let mut line = line.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if i64::from(line[WEIGHT]) + i64::from(gathered[WEIGHT]) > LIMIT {
+            self.add_aside(owner, &line.map(i64::from));
+            *line = gathered;
+        } else {
+            for (sum, x) in line.iter_mut().zip(gathered) {
+                *sum = sum.wrapping_add(x);
+            }
+        }
+    }
+
+    #[cold]
+    fn add_aside(&self, cell: u32, lanes: &[i64; LANES]) {
+        let mut side = self.side.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let sums = side.entry(cell).or_insert([0; LANES]);
+        for (sum, x) in sums.iter_mut().zip(lanes) {
+            *sum = sum.wrapping_add(*x);
+        }
+    }
+
+    /// The sums as they are once all workers have flushed.
+    pub(super) fn into_totals(self) -> Totals {
+        Totals { lines: self.lines, side: self.side.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) }
+    }
+}
+
+/// The sums of all cells, complete.
+pub(super) struct Totals {
+    lines: Vec<Line>,
+    side: FxHashMap<u32, [i64; LANES]>,
+}
+
+impl Totals {
+    /// A cell's sums.
+    pub(super) fn of(&self, cell: u32) -> [i64; LANES] {
+        let line = self.lines[cell as usize].0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut total = line.map(i64::from);
+        if let Some(aside) = self.side.get(&cell) {
+            for (sum, x) in total.iter_mut().zip(aside) {
+                *sum = sum.wrapping_add(*x);
+            }
+        }
+        total
+    }
+
+    /// Cells that outgrew their line.
+    pub(super) fn outgrown(&self) -> usize {
+        self.side.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shares(count: u64) -> Vec<(u32, Share)> {
+        let mut state = 7u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as f32 / (1u64 << 31) as f32
+        };
+        (0..count)
+            .map(|i| {
+                let mut place = || Vec3A::new(random() - 0.5, random() - 0.5, random() - 0.5);
+                let (n, p) = (place().normalize_or_zero(), place());
+                // Every tenth outgrows a line at once, cell 3 by and by.
+                let w = if i % 10 == 0 { 3e9 } else { 2e7 } * random() + 1.0;
+                ((random() * 5000.0) as u32 % if i % 3 == 0 { 4 } else { 5000 }, Share::new(n, p, w))
+            })
+            .collect()
+    }
+
+    fn gather(shares: &[(u32, Share)], workers: usize) -> (Vec<[i64; LANES]>, usize) {
+        let sums = Sums::new(5000);
+        std::thread::scope(|scope| {
+            for part in shares.chunks(shares.len().div_ceil(workers)) {
+                let sums = &sums;
+                scope.spawn(move || {
+                    let mut gatherer = Gatherer::new(sums);
+                    part.iter().for_each(|(cell, share)| gatherer.add(*cell, share));
+                    gatherer.flush();
+                });
+            }
+        });
+        let totals = sums.into_totals();
+        ((0..5000).map(|cell| totals.of(cell)).collect(), totals.outgrown())
+    }
+
+    #[test]
+    fn sums_are_exact_whatever_the_order_and_the_threads() {
+        let mut shares = shares(30_000);
+        let mut expected = vec![[0i64; LANES]; 5000];
+        for (cell, share) in &shares {
+            for lane in 0..LANES {
+                expected[*cell as usize][lane] += share.lanes[lane].round_ties_even() as i64;
+            }
+        }
+        let (one, outgrown) = gather(&shares, 1);
+        assert_eq!(one, expected);
+        assert!(outgrown >= 4, "the side table was not used: {outgrown}");
+        shares.reverse();
+        let (three, outgrown_by_three) = gather(&shares, 3);
+        assert_eq!(three, expected);
+        assert_eq!(outgrown, outgrown_by_three);
+    }
+
+    #[test]
+    fn a_line_is_a_cache_line() {
+        assert_eq!(LINE_BYTES, 64);
+        assert_eq!(size_of::<Cached>(), 64);
+    }
+
+    #[test]
+    fn no_lane_exceeds_the_weight() {
+        for (_, share) in shares(10_000) {
+            let w = share.0[PADDED_WEIGHT];
+            assert!(share.0.iter().all(|x| x.abs() <= w * (1.0 + 1e-6)));
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! Faces that survive: three corners in three cells.
+//!
+//! They are kept as triples of cell numbers in one array that all workers append to, and *netted* at the end: of coincident
+//! triples, pairs of opposite orientation go. A pair takes two faces from each of its edges and one triple alone is never
+//! taken, so no edge gains or loses an odd number of faces: where the scan is closed, what is left is closed.
+
+use crate::error::Result;
+use crate::read::Crew;
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
+
+/// Bytes of a surviving triple.
+pub(super) const TRIPLE_BYTES: usize = 12;
+
+/// Triples that a worker holds back before it appends them.
+const HELD_BACK: usize = 1024;
+
+/// Where workers append triples.
+pub(super) struct Survivors {
+    /// Three a triple.
+    cells: Vec<AtomicU32>,
+    count: AtomicUsize,
+}
+
+impl Survivors {
+    /// Room for `capacity` triples; pages are touched as they fill.
+    pub(super) fn new(capacity: usize) -> Self {
+        Survivors { cells: bytemuck::zeroed_vec(capacity * 3), count: AtomicUsize::new(0) }
+    }
+
+    /// How many were appended, more than there is room for included.
+    pub(super) fn count(&self) -> usize {
+        self.count.load(Relaxed)
+    }
+
+    /// Whether more were appended than there is room for.
+    pub(super) fn overflowed(&self) -> bool {
+        self.count() > self.cells.len() / 3
+    }
+
+    fn append(&self, triples: &[[u32; 3]]) {
+        let first = self.count.fetch_add(triples.len(), Relaxed) * 3;
+        // Past the end nothing is stored but all is counted.
+        let room = self.cells.get(first..).unwrap_or_default();
+        for (cell, x) in room.iter().zip(triples.as_flattened()) {
+            cell.store(*x, Relaxed);
+        }
+    }
+
+    /// The triples, in whatever order they came.
+    pub(super) fn into_triples(self) -> Vec<[u32; 3]> {
+        let count = self.count();
+        let mut cells: Vec<u32> = self.cells.into_iter().map(AtomicU32::into_inner).collect();
+        cells.truncate(count * 3);
+        let whole = cells.capacity() / 3 * 3;
+        cells.shrink_to(whole);
+        bytemuck::try_cast_vec(cells).unwrap_or_else(|(_, cells)| cells.as_chunks().0.to_vec())
+    }
+}
+
+/// A worker's end of [`Survivors`].
+pub(super) struct Appender<'a> {
+    survivors: &'a Survivors,
+    held: Vec<[u32; 3]>,
+}
+
+impl<'a> Appender<'a> {
+    pub(super) fn new(survivors: &'a Survivors) -> Self {
+        Appender { survivors, held: Vec::with_capacity(HELD_BACK) }
+    }
+
+    #[inline(always)]
+    pub(super) fn push(&mut self, triple: [u32; 3]) {
+        if self.held.len() == HELD_BACK {
+            self.flush();
+        }
+        self.held.push(triple);
+    }
+
+    pub(super) fn flush(&mut self) {
+        self.survivors.append(&self.held);
+        self.held.clear();
+    }
+}
+
+/// Says which way round a sorted triple goes, in the top bit of its last cell's number.
+const FLIPPED: u32 = 1;
+
+/// A triple as it is sorted: least cell, the two others in order, and the orientation as lowest bit.
+#[inline]
+fn encode([a, b, c]: [u32; 3]) -> [u32; 3] {
+    let [a, b, c] = if a < b && a < c {
+        [a, b, c]
+    } else if b < c {
+        [b, c, a]
+    } else {
+        [c, a, b]
+    };
+    if b < c { [a, b, c << 1] } else { [a, c, b << 1 | FLIPPED] }
+}
+
+#[inline]
+fn decode([a, b, c]: [u32; 3]) -> [u32; 3] {
+    if c & FLIPPED == 0 { [a, b, c >> 1] } else { [a, c >> 1, b] }
+}
+
+/// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and `n₋`
+/// coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
+pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
+    for triple in triples.iter_mut() {
+        *triple = encode(triple.map(|cell| ranks[cell as usize]));
+    }
+    crew.progress.check()?;
+    sort(triples, crew.workers);
+    crew.progress.check()?;
+    let (mut kept, mut pairs) = (0, 0);
+    let mut next = 0;
+    while next < triples.len() {
+        let [a, b, c] = triples[next];
+        let group = triples[next..].iter().take_while(|t| **t <= [a, b, c | FLIPPED]).count();
+        let plain = triples[next..next + group].iter().take_while(|t| t[2] & FLIPPED == 0).count();
+        let flipped = group - plain;
+        let last = triples[next + group - 1];
+        let majority = if plain > flipped { [a, b, c] } else { last };
+        for _ in 0..plain.abs_diff(flipped) {
+            triples[kept] = decode(majority);
+            kept += 1;
+        }
+        pairs += plain.min(flipped) as u64;
+        next += group;
+    }
+    triples.truncate(kept);
+    Ok(pairs)
+}
+
+/// Sorts in place, the halves on two threads and their halves likewise.
+fn sort(triples: &mut [[u32; 3]], workers: usize) {
+    if workers < 2 || triples.len() < 1 << 14 {
+        return triples.sort_unstable();
+    }
+    let middle = triples.len() / 2;
+    let (left, _, right) = triples.select_nth_unstable(middle);
+    std::thread::scope(|scope| {
+        scope.spawn(|| sort(left, workers / 2));
+        sort(right, workers - workers / 2);
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Progress;
+    use std::collections::HashMap;
+
+    fn netted(triples: &[[u32; 3]], workers: usize) -> (Vec<[u32; 3]>, u64) {
+        let ranks: Vec<u32> = (0..100).collect();
+        let mut triples = triples.to_vec();
+        let progress = Progress::default();
+        let pairs = net(&mut triples, &ranks, &Crew { workers, progress: &progress }).unwrap();
+        (triples, pairs)
+    }
+
+    #[test]
+    fn opposite_pairs_go_and_orientation_stays() {
+        let triples = [[3, 2, 1], [1, 2, 3], [9, 5, 7], [2, 3, 1], [7, 5, 9], [5, 9, 7], [4, 6, 5]];
+        let (kept, pairs) = netted(&triples, 1);
+        assert_eq!(kept, [[1, 2, 3], [4, 6, 5], [5, 7, 9]]);
+        assert_eq!(pairs, 2);
+    }
+
+    #[test]
+    fn edges_keep_their_parity_and_threads_do_not_matter() {
+        let triples: Vec<[u32; 3]> = (0..40_000u32)
+            .map(|i| [i * 7 % 19, 20 + i * i % 23, 45 + i / 3 % 17])
+            .enumerate()
+            .map(|(i, [a, b, c])| if i % 3 == 0 { [c, b, a] } else { [b, c, a] })
+            .collect();
+        let parity = |triples: &[[u32; 3]]| {
+            let mut odd: HashMap<(u32, u32), bool> = HashMap::new();
+            for [a, b, c] in triples {
+                for (u, v) in [(a, b), (b, c), (c, a)] {
+                    *odd.entry((*u.min(v), *u.max(v))).or_default() ^= true;
+                }
+            }
+            odd.retain(|_, odd| *odd);
+            odd
+        };
+        let (kept, pairs) = netted(&triples, 1);
+        assert_eq!(kept.len() as u64 + 2 * pairs, triples.len() as u64);
+        assert!(pairs > 1000);
+        assert_eq!(parity(&kept), parity(&triples));
+        assert_eq!((kept, pairs), netted(&triples, 3));
+    }
+
+    #[test]
+    fn appending_beyond_the_room_is_counted() {
+        let survivors = Survivors::new(3);
+        let mut appender = Appender::new(&survivors);
+        for i in 0..3 {
+            appender.push([i, i + 1, i + 2]);
+        }
+        appender.flush();
+        assert!(!survivors.overflowed());
+        appender.push([7, 8, 9]);
+        appender.flush();
+        assert!(survivors.overflowed() && survivors.count() == 4);
+
+        let survivors = Survivors::new(5);
+        let mut appender = Appender::new(&survivors);
+        appender.push([1, 2, 3]);
+        appender.flush();
+        assert_eq!(survivors.into_triples(), [[1, 2, 3]]);
+    }
+}
