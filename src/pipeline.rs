@@ -158,7 +158,8 @@ impl Run<'_> {
                 continue;
             }
             if faces < enough {
-                let what = format!("clustering within the budget leaves {faces} faces, fewer than the {enough} asked for");
+                let what =
+                    format!("clustering within the budget leaves {faces} faces, fewer than the {enough} asked for");
                 return Err(Error::Unmet { file: self.job.input.clone(), what });
             }
             return Ok(Intermediate {

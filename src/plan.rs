@@ -124,7 +124,7 @@ impl Purse {
     /// Clustering's options for a table of `cells`.
     pub fn cluster_options(&self, cells: usize) -> (usize, u64) {
         let raw_faces = SURVIVORS_A_CELL * cells;
-        let taken = cluster::table_bytes(cells) + cluster::sums_bytes(cells) + 12 * raw_faces as u64;
+        let taken = cluster::bytes(cells, raw_faces);
         (raw_faces, self.for_arrays().saturating_sub(taken))
     }
 }
@@ -142,7 +142,7 @@ fn cells_for(target: u64, ratio: f64) -> usize {
 /// Bytes of arrays at the peak, out of core, for a table of `cells`.
 fn bytes_for<S: Coordinate>(cells: usize) -> u64 {
     let collapse = collapse::bytes::<S>(2 * cells as u64 + cells as u64 / 8, cells as u64);
-    let sums = cluster::table_bytes(cells) + cluster::sums_bytes(cells) + 12 * (SURVIVORS_A_CELL * cells) as u64;
+    let sums = cluster::bytes(cells, SURVIVORS_A_CELL * cells);
     collapse.max(sums)
 }
 

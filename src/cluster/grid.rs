@@ -48,9 +48,6 @@ impl Grid {
     }
 
     /// The frame of the scan.
-    pub(super) fn frame(&self) -> Frame {
-        self.frame
-    }
 
     /// The steps of a position in the file's units; `None` when it is not finite.
     #[inline(always)]
@@ -96,7 +93,7 @@ pub(super) fn coordinates(key: u64) -> [i64; 3] {
 pub(super) struct Corner(pub(super) u64);
 
 /// Cells that a table can number.
-pub(super) const MAX_CELLS: usize = (1 << 25) - 2;
+pub const MAX_CELLS: usize = (1 << 25) - 2;
 
 impl Corner {
     /// A vertex that is nowhere: a coordinate is not finite. Above every usable corner.

@@ -30,7 +30,8 @@ use survivors::Survivors;
 use table::CellTable;
 
 /// Where a cell's representative goes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Representative {
     /// The point nearest, in the mean square, to the planes of all faces that touch the cell; kept within the cell.
     #[default]
@@ -90,6 +91,19 @@ pub struct ClusterStats {
     pub outgrown_cells: u64,
     /// The most bytes that scratch held at one time.
     pub scratch_bytes: u64,
+}
+
+/// Most cells that a table can have.
+pub use grid::MAX_CELLS;
+
+/// Bytes of the arrays that grow with the table, at their peak: the table, its sums, and the faces that survive.
+pub fn bytes(cells: usize, raw_faces: usize) -> u64 {
+    (CellTable::bytes(cells) + cells * sums::LINE_BYTES + raw_faces * survivors::TRIPLE_BYTES) as u64
+}
+
+/// Bytes of the caches of so many workers.
+pub fn worker_bytes(workers: usize) -> u64 {
+    (workers * (sums::CACHE_BYTES + spill::PAGE_CACHE_BYTES + join::WORKER_BYTES)) as u64
 }
 
 /// Clusters a scan.

@@ -25,9 +25,10 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use super::Target;
 use super::quantity::{Count, Length, Ratio, Threads, Weight, as_written, write_size};
-use super::{Representative, Target};
 use crate::budget::Size;
+use crate::cluster::Representative;
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.

@@ -6,11 +6,11 @@ mod quantity;
 pub use file::{ClusterTable, CollapseTable, JobFile, ReportTable, RunTable, ScanTable};
 pub use quantity::{Count, Length, Ratio, Threads, Weight};
 
-use serde::{Deserialize, Serialize};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use crate::budget::{MIB, Size};
+use crate::cluster::Representative;
 use crate::error::{Error, Result};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
@@ -53,17 +53,6 @@ fn share_of(faces: u64, ratio: f64) -> u64 {
         _ => (faces as f64 * ratio) as u128,
     };
     u64::try_from(share).unwrap_or(faces).min(faces)
-}
-
-/// Where the representative of a cell goes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Representative {
-    /// Where the cell's quadric is least, kept within the cell.
-    #[default]
-    Quadric,
-    /// At the weighted mean of what fell into the cell.
-    Mean,
 }
 
 /// A job with every default filled in and every value checked.

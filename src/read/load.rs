@@ -39,21 +39,25 @@ pub fn load_peak_bytes(scan: &Scan) -> u64 {
     vertices.saturating_add(scan.triangle_count().saturating_mul(12)).saturating_add(Crew::stream_bytes(1))
 }
 
+/// A loaded scan, the frame it is in, and what it was before.
+pub type Loaded<S> = (IndexedMesh<S>, Frame, LoadReport);
+
 /// Loads a scan: narrowed to `S`, welded, without faces that repeat a corner and vertices that no face uses, and scaled by
-/// the power of two of its frame.
-pub fn load<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<(IndexedMesh<S>, Frame, LoadReport)> {
+/// the power of two of its frame. `None` for a soup that turns out to have more than `most_vertices` distinct vertices.
+pub fn load<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) -> Result<Option<Loaded<S>>> {
     let crew = Crew { workers: 1, ..*crew };
-    let (mesh, frame, report) = match scan.layout() {
-        Layout::Indexed => load_indexed(scan, &crew)?,
-        Layout::Soup => load_soup(scan, &crew)?,
+    let loaded = match scan.layout() {
+        Layout::Indexed => Some(load_indexed(scan, &crew)?),
+        Layout::Soup => load_soup(scan, &crew, most_vertices)?,
     };
+    let Some((mesh, frame, report)) = loaded else { return Ok(None) };
     if mesh.faces.is_empty() {
         return Err(Error::input(scan.path(), "has no usable face: none has three distinct corners"));
     }
-    Ok((mesh, frame, report))
+    Ok(Some((mesh, frame, report)))
 }
 
-fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<(IndexedMesh<S>, Frame, LoadReport)> {
+fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<Loaded<S>> {
     check_countable(scan, scan.vertex_count())?;
     let positions = scan.vertices(
         crew,
@@ -88,7 +92,7 @@ fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<(IndexedM
     Ok((mesh, frame, report))
 }
 
-fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<(IndexedMesh<S>, Frame, LoadReport)> {
+fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) -> Result<Option<Loaded<S>>> {
     let welders = scan.soup(
         crew,
         || Welder::<S>::new(scan.triangle_count()),
@@ -96,18 +100,24 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<(IndexedMesh
             if welder.mesh.positions.len() + 3 * chunk.triangles.len() >= u32::MAX as usize {
                 check_countable(scan, u64::MAX)?;
             }
-            chunk.triangles.iter().for_each(|corners| welder.add(corners));
+            // What is beyond the limit is read to its end but not kept: stopping early would take an error.
+            if welder.mesh.positions.len() as u64 <= most_vertices {
+                chunk.triangles.iter().for_each(|corners| welder.add(corners));
+            }
             Ok(())
         },
     )?;
     let welder = welders.into_iter().next().unwrap_or_else(|| Welder::new(0));
+    if welder.mesh.positions.len() as u64 > most_vertices {
+        return Ok(None);
+    }
     let Welder { mut mesh, repeated_corner_faces, extent, .. } = welder;
     let referenced = Bits::of_corners(&mesh);
     let unreferenced_vertices = drop_unreferenced(&mut mesh, &referenced);
     let frame = Frame::of(&extent);
     scale(&mut mesh, frame);
     let report = LoadReport { duplicate_vertices: 0, unreferenced_vertices, repeated_corner_faces, extent };
-    Ok((mesh, frame, report))
+    Ok(Some((mesh, frame, report)))
 }
 
 fn check_countable(scan: &Scan, vertices: u64) -> Result<()> {
