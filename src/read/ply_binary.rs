@@ -58,6 +58,7 @@ impl VertexRecord {
     }
 
     /// One coordinate of all records after the other, so that types are told apart once a chunk.
+    #[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
     fn decode_by_axis(&self, records: &[u8], out: &mut Vec<[f64; 3]>) {
         out.resize(records.len() / self.stride, [0.0; 3]);
         for (axis, (offset, kind)) in self.axes.into_iter().enumerate() {
@@ -213,6 +214,7 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
     }
 
     #[inline]
+    #[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
     fn number(&mut self, kind: Kind) -> Result<f64, Fault> {
         let bytes = self.take(kind.bytes())?;
         let number = with_kind!(kind, BIG, |get| get(bytes).into());
@@ -233,8 +235,8 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
         let bytes = self.take(n * size)?;
         let mut sound = true;
         with_kind!(kind, BIG, |get| {
-            corners.extend(bytes.chunks_exact(size).map(|b| {
-                let index = get(b) as i64 as u64;
+            corners.extend((0..n).map(|i| {
+                let index = get(&bytes[i * size..]) as i64 as u64;
                 sound &= index < limit;
                 index as u32
             }));

@@ -7,7 +7,7 @@ use meshmill::progress::Progress;
 use meshmill::read::{Crew, Scan, load};
 use std::path::Path;
 
-const TURNS: usize = 6_000;
+const TURNS: usize = 4_000;
 
 fn seeds() -> Vec<Vec<u8>> {
     let mut seeds = Vec::new();
@@ -56,7 +56,7 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
         let len = (1 + random.below(12)).min(bytes.len() - at);
         match random.below(8) {
             0 => bytes[at] ^= 1 << random.below(8),
-            1 => bytes[at] = random.next() as u8,
+            1 => bytes[at] = random.draw() as u8,
             2 => drop(bytes.drain(at..at + len)),
             3 => bytes.truncate(at),
             4 => {

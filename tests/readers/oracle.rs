@@ -18,7 +18,7 @@ fn any_scan(random: &mut Random) -> Vec<Element> {
         let list = name == "a" && random.below(2) == 0;
         vertex.properties.push((name, if list { Type::List("uchar", "float") } else { Type::One(kind) }));
         for record in &mut vertex.records {
-            let x = (random.next() % 20_001) as f64 / 64.0 - 100.0;
+            let x = (random.draw() % 20_001) as f64 / 64.0 - 100.0;
             let x = if kind.len() > 5 || kind == "float" { stored(kind, x / 3.0) } else { x.trunc() };
             record.push(if list { Value::List(vec![0.5; random.below(4)]) } else { Value::One(x) });
         }

@@ -214,7 +214,7 @@ fn text_needs_no_lines() {
 fn words_that_lie_across_windows() {
     let mut random = Random(5);
     let positions: Vec<[f64; 3]> = (0..90_000)
-        .map(|_| [0; 3].map(|_| f64::from(f32::from_bits(random.next() as u32 & 0x7f7f_ffff | 1))))
+        .map(|_| [0; 3].map(|_| f64::from(f32::from_bits(random.draw() as u32 & 0x7f7f_ffff | 1))))
         .collect();
     let polygons: Vec<Vec<u32>> =
         (0..60_000).map(|_| (0..random.below(7)).map(|_| random.below(90_000) as u32).collect()).collect();
