@@ -84,7 +84,7 @@ fn use_all(path: &Path, workers: usize) -> Result<()> {
     let content = stream(&scan, workers)?;
     let sample = scan.sample(&crew, 100)?;
     assert!(sample.triangles.len() <= content.triangles.len() + content.soup.len());
-    let (mesh, _, report) = load::<f64>(&scan, &crew)?;
+    let (mesh, _, report) = load::<f64>(&scan, &crew, u64::MAX)?.unwrap();
     assert!(mesh.faces.as_flattened().iter().all(|v| (*v as usize) < mesh.positions.len()));
     assert!(mesh.positions.as_flattened().iter().all(|x| x.is_finite()));
     assert_eq!(mesh.faces.len() as u64 + report.repeated_corner_faces, scan.triangle_count());

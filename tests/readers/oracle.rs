@@ -101,7 +101,8 @@ fn stl_agrees_with_stl_io() {
             p[0] != p[1] && p[1] != p[2] && p[2] != p[0]
         });
         let progress = Progress::default();
-        let Ok((mesh, frame, report)) = load::<f32>(&scan, &Crew { workers: 2, progress: &progress }) else {
+        let loaded = load::<f32>(&scan, &Crew { workers: 2, progress: &progress }, u64::MAX);
+        let Ok(Some((mesh, frame, report))) = loaded else {
             assert_eq!(whole.count(), 0);
             continue;
         };

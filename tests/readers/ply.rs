@@ -456,7 +456,7 @@ fn more_vertices_than_fit_32_bits() {
     let sample = scan.sample(&crew, 10).unwrap();
     assert_eq!(sample.triangles, [[[0.0; 3], [0.0; 3], [7.0, 8.0, 9.0]]]);
     assert_eq!(sample.blocks_per_triangle, 2.0);
-    assert!(load::<f32>(&scan, &crew).unwrap_err().to_string().contains("more than 4294967294 vertices"));
+    assert!(load::<f32>(&scan, &crew, u64::MAX).unwrap_err().to_string().contains("more than 4294967294 vertices"));
     let last = scan.vertex_error(far.into(), "here".into()).byte();
     assert_eq!(last, Some(text.len() as u64 + u64::from(far) * 3));
 }
