@@ -14,7 +14,7 @@ use crate::scratch::Scratch;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
-pub(super) const BATCH: usize = 1024;
+pub(super) const BATCH: usize = 512;
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {

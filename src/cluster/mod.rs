@@ -186,7 +186,7 @@ impl Run<'_> {
         let quantum = quantum(sizing.area / (cells * grid.cell * grid.cell));
         let sums = Sums::new(if spill.is_some() { table.len() } else { self.options.cells });
         let survivors = Survivors::new(self.options.raw_faces);
-        let worker = || FaceWorker::new(&table, &sums, &survivors, quantum);
+        let worker = || FaceWorker::new(&table, &sums, &survivors, quantum, self.coherent);
         let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();

@@ -108,6 +108,15 @@ impl<'a> Gatherer<'a> {
         }
     }
 
+    /// Has the lines of cells that are about to be added to brought near, so that the waits for them overlap.
+    pub(super) fn fetch(&self, cells: impl Iterator<Item = u32>) {
+        let mut poisoned = false;
+        for cell in cells {
+            poisoned |= self.sums.lines[cell as usize].0.is_poisoned();
+        }
+        std::hint::black_box(poisoned);
+    }
+
     /// Hands all that was gathered to the sums.
     pub(super) fn flush(&mut self) {
         for (line, owner) in self.cache.iter_mut().zip(&mut *self.owners) {
