@@ -55,7 +55,7 @@ impl Grid {
         let s = (p - self.origin) * self.steps_per_unit;
         // False for whatever is not a number or not within the extent; infinities of opposite sign sum to NaN.
         let sum = s.x + s.y + s.z;
-        (sum >= 0.0 && sum < 4.0 * MAX_CELLS_A_SIDE * STEPS).then(|| [round(s.x), round(s.y), round(s.z)])
+        (0.0..4.0 * MAX_CELLS_A_SIDE * STEPS).contains(&sum).then(|| [round(s.x), round(s.y), round(s.z)])
     }
 
     /// The position in the frame of a place `local` (in cells, about the cell's centre) in the cell `key`.

@@ -39,7 +39,7 @@ struct Cut {
 impl Cut {
     fn new(vertices: u64, resident_bytes: u64) -> Self {
         let bucket_bits = vertices.div_ceil(BUCKETS).next_power_of_two().trailing_zeros();
-        let buckets_a_range = (resident_bytes / 8 >> bucket_bits).max(1);
+        let buckets_a_range = ((resident_bytes / 8) >> bucket_bits).max(1);
         Cut { vertices, bucket_bits, buckets_a_range }
     }
 
