@@ -210,7 +210,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         if pairs.is_empty() {
             return Ok(None);
         }
-        let error_sq = commit::commit(surface, &self.batch, &pairs);
+        let error_sq = commit::commit(surface, &mut self.batch, &pairs);
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();
