@@ -12,8 +12,7 @@
 use super::Options;
 use super::surface::{Surface, turned};
 use crate::mesh::adjacency::{after, before, parts};
-use crate::mesh::{Coordinate, widen};
-use glam::DVec3;
+use crate::mesh::{Coordinate, step, widen};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -106,7 +105,7 @@ impl<S: Coordinate> Batch<S> {
                     }
                     let candidate = surface.candidate(&surface.stars, v, u, options);
                     *spot = surface.spot(v, u, candidate.step);
-                    let admitted = admissible(surface, v, u, widen(*spot), options);
+                    let admitted = admissible(surface, v, u, *spot, options);
                     for (x, y) in [(v, u), (u, v)] {
                         if admitted {
                             mates[x as usize].store(y, Relaxed);
@@ -172,17 +171,17 @@ impl<S: Coordinate> Batch<S> {
         if moving < 2 || mates.iter().any(|u| face.contains(u)) {
             return None;
         }
-        let was = face.map(|v| surface.at(v));
+        let was = face.map(|v| surface.positions[v as usize]);
         let mut would = was;
         let mut blamed = None;
         for i in 0..3 {
             if mates[i] != NONE {
                 let leader = face[i].min(mates[i]);
-                would[i] = widen(self.spots[leader as usize]);
+                would[i] = self.spots[leader as usize];
                 blamed = blamed.max(Some((hash(leader, leader), leader)));
             }
         }
-        let normal = |p: [DVec3; 3]| (p[1] - p[0]).cross(p[2] - p[0]);
+        let normal = |p: [[S; 3]; 3]| step(p[0], p[1]).cross(step(p[0], p[2]));
         turned(normal(was), normal(would)).then_some(blamed?.1)
     }
 
@@ -248,9 +247,9 @@ fn cheapest<S: Coordinate>(surface: &Surface<S>, v: u32, limit: f32, free: impl 
 }
 
 /// Whether a collapse keeps the error bound and folds nothing over.
-pub(super) fn admissible<S: Coordinate>(surface: &Surface<S>, a: u32, b: u32, x: DVec3, options: &Options) -> bool {
+pub(super) fn admissible<S: Coordinate>(surface: &Surface<S>, a: u32, b: u32, x: [S; 3], options: &Options) -> bool {
     if options.max_error < f64::INFINITY {
-        let learnt = surface.merged(a, b, x);
+        let learnt = surface.merged(a, b, widen(x));
         if learnt.c > options.max_error * options.max_error * learnt.w {
             return false;
         }

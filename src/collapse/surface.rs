@@ -2,7 +2,7 @@
 
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
-use crate::mesh::{Coordinate, narrow, widen};
+use crate::mesh::{Coordinate, narrow, step, widen};
 use crate::quadric::{PackedQuadric, Quadric};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -180,17 +180,16 @@ impl<S: Coordinate> Surface<S> {
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.
-    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: DVec3) -> bool {
+    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: [S; 3]) -> bool {
         let folds_at = |v: u32, other: u32| {
+            let at = self.positions[v as usize];
             around.of(v).iter().any(|&corner| {
                 let (p, q) = self.ends(corner);
                 if p == other || q == other {
                     return false;
                 }
-                let (p, q) = (self.at(p), self.at(q));
-                let was = (p - self.at(v)).cross(q - self.at(v));
-                let would = (p - x).cross(q - x);
-                turned(was, would)
+                let (p, q) = (self.positions[p as usize], self.positions[q as usize]);
+                turned(step(at, p).cross(step(at, q)), step(x, p).cross(step(x, q)))
             })
         };
         folds_at(a, b) || folds_at(b, a)
@@ -267,13 +266,13 @@ impl<S: Coordinate> Surface<S> {
     }
 }
 
-/// Whether a normal has turned further than a face may.
+/// Whether a normal has turned further than a face may. Squares of small areas need the range of doubles.
 #[inline(always)]
-pub(super) fn turned(was: DVec3, would: DVec3) -> bool {
+pub(super) fn turned(was: Vec3, would: Vec3) -> bool {
+    let (was, would) = (was.as_dvec3(), would.as_dvec3());
     let dot = was.dot(would);
-    let both = was.length_squared() * would.length_squared();
-    both > 0.0 && (dot <= 0.0 || dot * dot < LEAST_COSINE * LEAST_COSINE * both)
-        || was != DVec3::ZERO && would == DVec3::ZERO
+    let (was_sq, would_sq) = (was.length_squared(), would.length_squared());
+    was_sq > 0.0 && (dot <= 0.0 || dot * dot < LEAST_COSINE * LEAST_COSINE * was_sq * would_sq)
 }
 
 /// The area-weighted quadric of a face about one of its vertices, from `normal` = 2·area·n.
