@@ -22,8 +22,7 @@ pub(super) const NONE: u32 = u32::MAX;
 /// A preference that must be looked for.
 const ASK: u32 = u32::MAX - 1;
 
-/// Turns of the matching in one round. On a valence-6 mesh one turn takes 27 % of the vertices, four reach 44 % of the
-/// 46 % that the full greedy matching has.
+/// Turns of the matching in one round. On a scan of 1.2 M faces the four took 70, 25, 5 and 1 % of a batch.
 const TURNS: usize = 4;
 
 /// The arrays of one round, kept for the next: 8 bytes a vertex and a position.
