@@ -66,7 +66,7 @@ fn clustering(criterion: &mut Criterion) {
     let mut group = group(criterion, "clustering", files.faces);
     for row in &rows {
         for workers in [1, 2] {
-            group.bench_function(format!("{}, {workers} workers", row.name), |b| {
+            group.bench_function(format!("{}, workers: {workers}", row.name), |b| {
                 on_threads(workers, || b.iter_with_large_drop(|| row.cluster(&scratch, workers)));
             });
         }

@@ -29,7 +29,7 @@ fn collapsing(criterion: &mut Criterion) {
     let mut group = group(criterion, "collapsing", files.faces);
     for (percent, target) in targets {
         for threads in [1, 2] {
-            group.bench_function(format!("to {percent} %, {threads} threads"), |b| {
+            group.bench_function(format!("to {percent} %, threads: {threads}"), |b| {
                 on_threads(threads, || b.iter_batched(|| mesh.clone(), |m| to(m, target), BatchSize::PerIteration));
             });
         }

@@ -86,7 +86,7 @@ fn reading(criterion: &mut Criterion) {
     let mut group = group(criterion, "reading", files.faces);
     for (format, scan) in [("PLY", &ply), ("STL", &stl)] {
         for workers in [1, 2] {
-            group.bench_function(format!("{format}, a pass, {workers} workers"), |b| b.iter(|| stream(scan, workers)));
+            group.bench_function(format!("{format}, a pass, workers: {workers}"), |b| b.iter(|| stream(scan, workers)));
         }
         group.bench_function(format!("{format}, loading"), |b| b.iter_with_large_drop(|| loaded(scan)));
     }

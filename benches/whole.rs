@@ -63,7 +63,7 @@ fn whole(criterion: &mut Criterion) {
     let mut group = group(criterion, "whole", files.faces);
     for row in &rows {
         for threads in [1, 2] {
-            group.bench_function(format!("{}, {threads} threads", row.name), |b| {
+            group.bench_function(format!("{}, threads: {threads}", row.name), |b| {
                 b.iter(|| row.reduce(&output, target, threads));
             });
         }
