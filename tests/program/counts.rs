@@ -106,7 +106,8 @@ fn a_ratio_is_of_the_files_faces_and_rounded_down() {
     let folder = Folder::new();
     let mesh = torus(29, 11); // 638 faces
     let scan = folder.scan("scan", &mesh, Kind::Floats);
-    for (ratio, most) in [("0.1", 63), ("10%", 63), ("50%", 319), ("0.9", 574), ("0.001", 0), ("1", 638), ("100%", 638)] {
+    for (ratio, most) in [("0.1", 63), ("10%", 63), ("50%", 319), ("0.9", 574), ("0.001", 0), ("1", 638), ("100%", 638)]
+    {
         let got = folder.reduce(&scan, &["--ratio", ratio]).done("in-core").faces();
         assert!(got == most || got + 1 == most, "{got} for {ratio}");
     }

@@ -207,10 +207,8 @@ impl Mesh {
             assert_eq!(record[0], 3);
             [1, 5, 9].map(|at| u32::from_le_bytes(record[at..at + 4].try_into().unwrap()))
         };
-        let mesh = Mesh {
-            positions: numbers.as_chunks().0.to_vec(),
-            faces: corners.as_chunks().0.iter().map(face).collect(),
-        };
+        let mesh =
+            Mesh { positions: numbers.as_chunks().0.to_vec(), faces: corners.as_chunks().0.iter().map(face).collect() };
         mesh.check();
         mesh
     }
@@ -351,7 +349,8 @@ impl Outcome {
         assert_eq!(report["mode"], mode, "{report}");
         assert_eq!(report["output"]["faces"], mesh.faces.len(), "{report}");
         assert_eq!(report["output"]["vertices"], mesh.positions.len(), "{report}");
-        if let (Some(peak), Some(budget)) = (report["peak_rss_bytes"].as_u64(), report["memory_budget_bytes"].as_u64()) {
+        if let (Some(peak), Some(budget)) = (report["peak_rss_bytes"].as_u64(), report["memory_budget_bytes"].as_u64())
+        {
             assert!(peak <= budget, "{peak} bytes resident, {budget} allowed: {report}");
         }
         Done { mesh, report, bytes: fs::read(self.out).unwrap() }
