@@ -139,7 +139,7 @@ impl Run<'_> {
     ) -> Result<Intermediate<S>> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         loop {
-            let (raw_faces, spill_resident_bytes) = self.purse.cluster_options(cells);
+            let (raw_faces, spill_resident_bytes) = self.purse.cluster_options::<S>(cells);
             let options = ClusterOptions {
                 representative: self.job.representative,
                 cells,

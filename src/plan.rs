@@ -69,7 +69,7 @@ pub struct Purse {
 impl Purse {
     /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
     pub fn new(bytes: u64, threads: usize) -> Self {
-        let fits = |n: &usize| cluster::worker_bytes(*n) + Crew::stream_bytes(*n) <= bytes / 4;
+        let fits = |n: &usize| streaming_bytes(*n) <= bytes / 4;
         let workers = (1..=threads).rev().find(fits).unwrap_or(1);
         Purse { bytes, workers }
     }
@@ -122,16 +122,27 @@ impl Purse {
     }
 
     /// Clustering's options for a table of `cells`.
-    pub fn cluster_options(&self, cells: usize) -> (usize, u64) {
+    pub fn cluster_options<S: Coordinate>(&self, cells: usize) -> (usize, u64) {
         let raw_faces = SURVIVORS_A_CELL * cells;
-        let taken = cluster::bytes(cells, raw_faces);
+        let taken = cluster_bytes::<S>(cells);
         (raw_faces, self.for_arrays().saturating_sub(taken))
     }
 }
 
+/// What so many workers of a streaming pass take.
+fn streaming_bytes(workers: usize) -> u64 {
+    Crew::stream_bytes(workers) + (workers * cluster::bytes_per_worker()) as u64
+}
+
+/// What clustering takes for a table of `cells`, the binned vertices aside.
+fn cluster_bytes<S: Coordinate>(cells: usize) -> u64 {
+    let a_cell = cluster::bytes_per_cell(S::DOUBLE) + SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE;
+    cells as u64 * a_cell as u64
+}
+
 /// What is set aside for streaming.
 fn aside(bytes: u64) -> u64 {
-    (bytes / 4).min(Crew::stream_bytes(8) + cluster::worker_bytes(8))
+    (bytes / 4).min(streaming_bytes(8))
 }
 
 /// Cells for an intermediate mesh of `ratio` times `target` faces.
@@ -142,7 +153,7 @@ fn cells_for(target: u64, ratio: f64) -> usize {
 /// Bytes of arrays at the peak, out of core, for a table of `cells`.
 fn bytes_for<S: Coordinate>(cells: usize) -> u64 {
     let collapse = collapse::bytes::<S>(2 * cells as u64 + cells as u64 / 8, cells as u64);
-    let sums = cluster::bytes(cells, SURVIVORS_A_CELL * cells);
+    let sums = cluster_bytes::<S>(cells);
     collapse.max(sums)
 }
 
@@ -157,6 +168,6 @@ fn in_core_bytes<S: Coordinate>(scan: &Scan) -> u64 {
 /// The least budget whose arrays have that many bytes, in whole mebibytes.
 fn total_for(arrays: u64) -> u64 {
     let small = (arrays.saturating_add(BASE_BYTES)) / 3 * 4 + MIB;
-    let large = arrays.saturating_add(BASE_BYTES + Crew::stream_bytes(8) + cluster::worker_bytes(8)) + MIB;
+    let large = arrays.saturating_add(BASE_BYTES + streaming_bytes(8)) + MIB;
     if aside(small) == small / 4 { small } else { large }
 }

@@ -4,7 +4,8 @@ use assert_cmd::Command;
 use std::path::Path;
 
 use meshmill::budget::Size;
-use meshmill::job::{JobFile, Representative, Target};
+use meshmill::cluster::Representative;
+use meshmill::job::{JobFile, Target};
 
 fn meshmill(args: &[&str]) -> Command {
     let mut command = Command::cargo_bin("meshmill").expect("the program is built with its tests");

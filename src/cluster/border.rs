@@ -10,6 +10,7 @@
 
 use super::corners::Sink;
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
+use super::sums::Totals;
 use super::table::CellTable;
 use crate::quadric::Quadric;
 use glam::DVec3;
@@ -87,12 +88,18 @@ impl Borders {
         }
     }
 
-    /// `|e₁ × x + e₂|²` about the centre of a cell, lengths in cells. Zero for a cell without border.
-    pub(super) fn quadric(&self, cell: u32) -> Quadric {
-        let slot = self.slots[cell as usize];
-        if slot == CLOSED {
-            return Quadric::default();
+    /// Adds each open cell's border to its sums with some weight, in quanta of `quantum` cells².
+    pub(super) fn add_to(&self, totals: &mut Totals, weight: f64, quantum: f64) {
+        for (cell, slot) in self.slots.iter().enumerate().filter(|(_, slot)| **slot != CLOSED) {
+            let q = self.quadric(*slot);
+            let [xx, xy, xz, yy, yz, zz] = q.a;
+            let lanes = [xx, xy, xz, q.b.x, yy, yz, q.b.y, zz, q.b.z, q.c, 0.0, 0.0, 0.0, 0.0];
+            totals.add(cell as u32, lanes.map(|x| (x * (weight / quantum)).round() as i64));
         }
+    }
+
+    /// `|e₁ × x + e₂|²` about the centre of a cell, lengths in cells.
+    fn quadric(&self, slot: u32) -> Quadric {
         let [a, b, c, d, e, f] = self.sums[slot as usize].each_ref().map(|x| x.load(Relaxed) as f64);
         let e1 = DVec3::new(a, b, c) / STEPS;
         let e2 = DVec3::new(d, e, f) / (STEPS * STEPS) + e1.cross(DVec3::splat(0.5));

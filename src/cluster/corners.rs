@@ -14,7 +14,10 @@ use crate::scratch::Scratch;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
-pub(super) const BATCH: usize = 1024;
+pub(super) const BATCH: usize = 512;
+
+/// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
+pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + (16 << 10) * size_of::<Corner>();
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {

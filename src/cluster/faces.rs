@@ -1,29 +1,61 @@
 //! The face pass: every face adds its plane to the cells of its corners, and survives if they are three.
+//!
+//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, cross products, normals
+//! (four at a time), sums. One face at a time would wait for its own square root and division.
 
 use super::corners::{BATCH, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
 use super::sums::{Gatherer, Share, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
-use glam::{DVec3, Vec3A};
+use glam::Vec3A;
 
 /// One worker of the face pass.
 pub(super) struct FaceWorker<'a> {
     table: &'a CellTable,
     gatherer: Gatherer<'a>,
     appender: Appender<'a>,
-    /// Quanta of weight a step² of doubled area.
+    batch: Box<Batch>,
+    /// Quanta of weight for a cross product of length one.
     quanta: f32,
+    /// Whether faces that follow one another are expected in the same cells.
+    coherent: bool,
 }
+
+/// Bytes of a worker's batch.
+pub(super) const BATCH_BYTES: usize = size_of::<Batch>();
+
+/// Faces between two stages: those within a cell first, those across cells behind them.
+struct Batch {
+    faces: [[Corner; 3]; BATCH],
+    /// Cross product of two edges, later the unit normal.
+    x: [f32; BATCH],
+    y: [f32; BATCH],
+    z: [f32; BATCH],
+    /// Weight in quanta.
+    w: [f32; BATCH],
+}
+
+/// What cross products are scaled by, so that no square of one can overflow or vanish: they are 1 to 2⁶⁹ steps².
+const CROSS_SCALE: f32 = 1.0 / (1u64 << 32) as f32;
 
 impl<'a> FaceWorker<'a> {
     /// A worker that adds to `sums` and `survivors`; `quantum` is the unit of weight, in cells².
-    pub(super) fn new(table: &'a CellTable, sums: &'a Sums, survivors: &'a Survivors, quantum: f64) -> Self {
+    pub(super) fn new(
+        table: &'a CellTable,
+        sums: &'a Sums,
+        survivors: &'a Survivors,
+        quantum: f64,
+        coherent: bool,
+    ) -> Self {
+        let faces = [[Corner::default(); 3]; BATCH];
         FaceWorker {
             table,
             gatherer: Gatherer::new(sums),
             appender: Appender::new(survivors),
-            quanta: (0.5 / (STEPS * STEPS * quantum)) as f32,
+            batch: Box::new(Batch { faces, x: [0.0; BATCH], y: [0.0; BATCH], z: [0.0; BATCH], w: [0.0; BATCH] }),
+            quanta: (0.5 / (STEPS * STEPS * quantum) / f64::from(CROSS_SCALE)) as f32,
+            coherent,
         }
     }
 
@@ -33,29 +65,14 @@ impl<'a> FaceWorker<'a> {
         self.appender.flush();
     }
 
-    /// A face with all corners in one cell.
+    /// Adds a face's plane to each of its cells, once.
     #[inline(always)]
-    fn inside(&mut self, [a, b, c]: [Corner; 3]) {
-        let (p, q, r) = (a.local(), b.local(), c.local());
-        let (n, w) = self.plane(cross(minus(q, p), minus(r, p)));
-        let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
-        self.gatherer.add(a.cell(), &Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w));
-    }
-
-    /// A face across cells: its plane goes to each of them once.
-    #[inline(always)]
-    fn across(&mut self, face: [Corner; 3]) {
+    fn add_across(&mut self, i: usize) {
+        let batch = &*self.batch;
+        let face = batch.faces[i];
+        let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
+        let [p, q, r] = face.map(|corner| Vec3A::from(corner.local().map(|x| x as f32)));
         let cells @ [a, b, c] = face.map(Corner::cell);
-        let local = face.map(Corner::local);
-        let at = cells.map(|cell| coordinates(self.table.key(cell)));
-        let edge = |to: usize| -> [i64; 3] {
-            std::array::from_fn(|k| ((at[to][k] - at[0][k]) << LOCAL_BITS) + i64::from(local[to][k] - local[0][k]))
-        };
-        let (u, v) = (edge(1), edge(2));
-        let near = u.iter().chain(&v).all(|x| x.unsigned_abs() < 1 << 30);
-        let cross = if near { cross(u.map(|x| x as i32), v.map(|x| x as i32)) } else { wide_cross(u, v) };
-        let (n, w) = self.plane(cross);
-        let [p, q, r] = local.map(|p| Vec3A::new(p[0] as f32, p[1] as f32, p[2] as f32));
         let mut add = |cell, sum, corners| self.gatherer.add(cell, &Share::new(n, place(sum, corners), w));
         if a == b {
             add(a, p + q, 2.0);
@@ -73,85 +90,100 @@ impl<'a> FaceWorker<'a> {
             self.appender.push(cells);
         }
     }
-
-    /// The unit normal and the weight of a face whose edges have this cross product, in steps². A face without area says
-    /// nothing of a plane, but where it is still counts a quantum: the mean of a cell with such faces only is defined.
-    #[inline(always)]
-    fn plane(&self, cross: Cross) -> (Vec3A, f32) {
-        match cross {
-            Cross::Short(cross) => {
-                let length = cross.length();
-                let n = if length > 0.0 { cross / length } else { Vec3A::ZERO };
-                (n, (length * self.quanta).max(1.0))
-            }
-            Cross::Long(cross) => {
-                let length = cross.length();
-                ((cross / length).as_vec3a(), (length * f64::from(self.quanta)).max(1.0) as f32)
-            }
-        }
-    }
 }
 
 impl Sink for FaceWorker<'_> {
     fn take(&mut self, faces: &[[Corner; 3]]) {
-        // Which faces cross a wall is as good as random: sorted apart first, they cost no mispredicted branch each.
-        let mut order = [0u16; BATCH];
-        let (mut inside, mut across) = (0, faces.len());
-        for (i, [a, b, c]) in faces.iter().enumerate() {
-            let same = ((a.0 ^ b.0) | (a.0 ^ c.0)) >> (3 * LOCAL_BITS) == 0;
+        let inside = self.batch.sort_apart(faces);
+        self.batch.cross_inside(inside);
+        self.batch.cross_across(inside, faces.len(), self.table);
+        self.batch.normalise(faces.len(), self.quanta);
+        if !self.coherent {
+            self.gatherer.fetch(self.batch.faces[..faces.len()].as_flattened().iter().map(|corner| corner.cell()));
+        }
+        for i in 0..inside {
+            let batch = &*self.batch;
+            let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
+            let [p, q, r] = batch.faces[i].map(Corner::local);
+            let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
+            let share = Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w);
+            self.gatherer.add(batch.faces[i][0].cell(), &share);
+        }
+        for i in inside..faces.len() {
+            self.add_across(i);
+        }
+    }
+}
+
+impl Batch {
+    /// Takes faces in, those with all corners in one cell first; returns how many these are. Which is which is as good as
+    /// random, so this is done without a branch.
+    fn sort_apart(&mut self, faces: &[[Corner; 3]]) -> usize {
+        let (mut inside, mut across) = (0, faces.len().min(BATCH));
+        for face in faces.iter().take(BATCH) {
+            let [a, b, c] = face.map(|corner| corner.0);
+            let same = ((a ^ b) | (a ^ c)) >> (3 * LOCAL_BITS) == 0;
             let place = if same { inside } else { across - 1 };
-            order[place] = i as u16;
+            self.faces[place] = *face;
             inside += usize::from(same);
             across -= usize::from(!same);
         }
-        for i in &order[..inside] {
-            self.inside(faces[usize::from(*i)]);
-        }
-        for i in order[inside..faces.len()].iter().rev() {
-            self.across(faces[usize::from(*i)]);
+        inside
+    }
+
+    /// Cross products of faces within a cell: edges are below 2¹³, so 32 bits are exact.
+    fn cross_inside(&mut self, inside: usize) {
+        for i in 0..inside {
+            let [p, q, r] = self.faces[i].map(Corner::local);
+            let (u, v): ([i32; 3], [i32; 3]) =
+                (std::array::from_fn(|k| q[k] - p[k]), std::array::from_fn(|k| r[k] - p[k]));
+            self.x[i] = (u[1] * v[2] - u[2] * v[1]) as f32 * CROSS_SCALE;
+            self.y[i] = (u[2] * v[0] - u[0] * v[2]) as f32 * CROSS_SCALE;
+            self.z[i] = (u[0] * v[1] - u[1] * v[0]) as f32 * CROSS_SCALE;
         }
     }
+
+    /// Cross products of faces across cells: exact before they are rounded, so they do not depend on the corner from which
+    /// the edges start.
+    fn cross_across(&mut self, inside: usize, end: usize, table: &CellTable) {
+        for i in inside..end {
+            let face = self.faces[i];
+            let local = face.map(Corner::local);
+            let at = face.map(|corner| coordinates(table.key(corner.cell())));
+            let edge = |to: usize| -> [i64; 3] {
+                std::array::from_fn(|k| ((at[to][k] - at[0][k]) << LOCAL_BITS) + i64::from(local[to][k] - local[0][k]))
+            };
+            let (u, v) = (edge(1), edge(2));
+            let size = u.iter().chain(&v).fold(0, |size, x| size | x.unsigned_abs());
+            let minor =
+                |i: usize, j: usize| if size < 1 << 31 { (u[i] * v[j] - u[j] * v[i]) as f32 } else { wide(u, v, i, j) };
+            self.x[i] = minor(1, 2) * CROSS_SCALE;
+            self.y[i] = minor(2, 0) * CROSS_SCALE;
+            self.z[i] = minor(0, 1) * CROSS_SCALE;
+        }
+    }
+
+    /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still counts a
+    /// quantum: the mean of a cell with such faces only is defined.
+    fn normalise(&mut self, end: usize, quanta: f32) {
+        let (x, y, z, w) = (&mut self.x[..end], &mut self.y[..end], &mut self.z[..end], &mut self.w[..end]);
+        for (((x, y), z), w) in x.iter_mut().zip(y).zip(z).zip(w) {
+            let length = (*x * *x + *y * *y + *z * *z).sqrt();
+            // The least length is CROSS_SCALE: a zero vector stays one.
+            let inverse = 1.0 / length.max(0.5 * CROSS_SCALE);
+            (*x, *y, *z) = (*x * inverse, *y * inverse, *z * inverse);
+            *w = (length * quanta).max(1.0);
+        }
+    }
+}
+
+#[cold]
+fn wide(u: [i64; 3], v: [i64; 3], i: usize, j: usize) -> f32 {
+    (i128::from(u[i]) * i128::from(v[j]) - i128::from(u[j]) * i128::from(v[i])) as f32
 }
 
 /// A place as mean of `corners` in steps from the cell's least corner, as one in cells about its centre.
 #[inline(always)]
 fn place(sum: Vec3A, corners: f32) -> Vec3A {
     sum * (1.0 / (corners * STEPS as f32)) - 0.5
-}
-
-/// A cross product of edges in steps: exact, so it does not depend on the corner that the edges start from, up to one last
-/// rounding.
-enum Cross {
-    Short(Vec3A),
-    /// Its square would overflow single precision.
-    Long(DVec3),
-}
-
-#[inline(always)]
-fn minus(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-/// Of edges below 2³⁰.
-#[inline(always)]
-fn cross(u: [i32; 3], v: [i32; 3]) -> Cross {
-    // A difference of two products below 2²³ is exact in single precision: most scans' faces are that small.
-    let small = |e: [i32; 3]| e.iter().all(|x| x.unsigned_abs() <= 2896);
-    if small(u) && small(v) {
-        let real = |e: [i32; 3]| Vec3A::new(e[0] as f32, e[1] as f32, e[2] as f32);
-        return Cross::Short(real(u).cross(real(v)));
-    }
-    let minor = |i: usize, j: usize| (i64::from(u[i]) * i64::from(v[j]) - i64::from(u[j]) * i64::from(v[i])) as f32;
-    Cross::Short(Vec3A::new(minor(1, 2), minor(2, 0), minor(0, 1)))
-}
-
-#[cold]
-fn wide_cross(u: [i64; 3], v: [i64; 3]) -> Cross {
-    let minor = |i: usize, j: usize| i128::from(u[i]) * i128::from(v[j]) - i128::from(u[j]) * i128::from(v[i]);
-    let minors = [minor(1, 2), minor(2, 0), minor(0, 1)];
-    // The choice depends on the product alone, and so does not on the corner either.
-    if minors.iter().all(|x| x.unsigned_abs() < 1 << 61) {
-        return Cross::Short(Vec3A::from(minors.map(|x| x as f32)));
-    }
-    Cross::Long(DVec3::from(minors.map(|x| x as f64)))
 }

@@ -47,8 +47,6 @@ impl Grid {
         1.0 / MAX_CELLS_A_SIDE
     }
 
-    /// The frame of the scan.
-
     /// The steps of a position in the file's units; `None` when it is not finite.
     #[inline(always)]
     pub(super) fn steps(&self, p: [f64; 3]) -> Option<Steps> {

@@ -22,8 +22,9 @@ const BUFFER: usize = 2048;
 /// Records that a worker reads at a time.
 const RUN: usize = 8192;
 
-/// Bytes that a worker of a join holds, buffers of faces and of those left waiting.
-pub(super) const WORKER_BYTES: usize = BUCKETS as usize * BUFFER * 4;
+/// Bytes that a worker of a join holds: buffers while faces are partitioned; then a run of records, and buffers for those
+/// that wait at ranges further up, of which there are fewer.
+pub(super) const WORKER_BYTES: usize = BUCKETS as usize * BUFFER * 4 + RUN * WORDS[2] * 4;
 
 /// How vertices are cut up.
 #[derive(Debug, Clone, Copy)]

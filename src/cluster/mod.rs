@@ -1,4 +1,35 @@
 //! Streaming vertex clustering with quadric representatives, in fixed memory.
+//!
+//! A grid is laid over the scan, as fine as the table of cells allows. Every face adds its plane, weighted by area, to the
+//! cells of its corners; faces whose corners are in three cells survive. Each cell that they use becomes a vertex, placed
+//! where the squared distance to the planes it has learnt is least, and hands those planes on as its quadric. After Lindstrom,
+//! *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
+//!
+//! Passes over the scan: extent; vertices to the [`spill`]; faces to [`sums`] and [`survivors`]; where the scan has open borders,
+//! faces once more ([`border`]). A soup has no vertex pass: corners are binned as they come.
+//!
+//! **Promises.** The result depends on the scan and the options alone, not on threads, nor on the order of faces or vertices
+//! beyond the sample that sizes the cells: sums are integers, cells are numbered in Morton order, survivors are sorted. An edge of
+//! the result has an odd number of faces only where the scan has open border. Representatives lie in their cells. Where a table
+//! overflows, which the scan alone decides, all is thrown away and begun again with larger cells.
+//!
+//! **Does not promise** a manifold: sheets that are closer than a cell may touch, and a part smaller than a cell vanishes.
+//!
+//! **Memory**, in bytes ([`bytes_per_cell`], [`bytes_per_worker`]):
+//!
+//! | | a cell |
+//! |---|--:|
+//! | block table (330 a block for 10 cells), until placement | 33 |
+//! | key | 8 |
+//! | line of sums | 64 |
+//! | rank, later the cell's number | 4 |
+//! | face pass | **109** |
+//! | border pass: slot, and if all cells were open their sums of 48 | **161** |
+//! | placement, without the block table: quadric 44, position 12 or 24 | **132, 144** |
+//!
+//! beside 12 bytes for each of `raw_faces`, 12 more for the survivors of netting while borders are looked for, up to
+//! `spill_resident_bytes`, and per worker the caches of the face pass. A spill that does not fit takes 8 bytes a vertex of
+//! scratch; a join takes 12 to 28 more a face.
 
 mod border;
 mod corners;
@@ -96,17 +127,23 @@ pub struct ClusterStats {
 /// Most cells that a table can have.
 pub use grid::MAX_CELLS;
 
-/// Bytes of the arrays that grow with the table, at their peak: the table, its sums, and the faces that survive.
-pub fn bytes(cells: usize, raw_faces: usize) -> u64 {
-    (CellTable::bytes(cells) + cells * sums::LINE_BYTES + raw_faces * survivors::TRIPLE_BYTES) as u64
+/// Bytes that a cell takes at most, the few of a scan's that hold border aside (48 more each).
+pub const fn bytes_per_cell(double: bool) -> usize {
+    let placed = sums::LINE_BYTES + 8 + 4 + size_of::<PackedQuadric>() + if double { 24 } else { 12 };
+    let summed = sums::LINE_BYTES + CellTable::bytes(1 << 20).div_ceil(1 << 20) + 4 + 4;
+    if placed > summed { placed } else { summed }
 }
 
-/// Bytes of the caches of so many workers.
-pub fn worker_bytes(workers: usize) -> u64 {
-    (workers * (sums::CACHE_BYTES + spill::PAGE_CACHE_BYTES + join::WORKER_BYTES)) as u64
+/// Bytes that each of `raw_faces` takes.
+pub const BYTES_PER_RAW_FACE: usize = survivors::TRIPLE_BYTES;
+
+/// Bytes that a worker takes, beside what reading does.
+pub const fn bytes_per_worker() -> usize {
+    let spill = if spill::PAGE_CACHE_BYTES > join::WORKER_BYTES { spill::PAGE_CACHE_BYTES } else { join::WORKER_BYTES };
+    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + corners::FEED_BYTES + spill
 }
 
-/// Clusters a scan.
+/// Clusters a scan. `S` should be the scalar that loses nothing of the scan's coordinates.
 pub fn cluster<S: Coordinate>(
     scan: &Scan,
     crew: &Crew,
@@ -200,7 +237,7 @@ impl Run<'_> {
         let quantum = quantum(sizing.area / (cells * grid.cell * grid.cell));
         let sums = Sums::new(if spill.is_some() { table.len() } else { self.options.cells });
         let survivors = Survivors::new(self.options.raw_faces);
-        let worker = || FaceWorker::new(&table, &sums, &survivors, quantum);
+        let worker = || FaceWorker::new(&table, &sums, &survivors, quantum, self.coherent);
         let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
@@ -264,18 +301,19 @@ impl Run<'_> {
 
     /// Nets the survivors, holds borders, places representatives.
     fn finish<S: Coordinate>(mut self, learnt: Learnt) -> Result<Clustered<S>> {
-        let Learnt { grid, mut table, spill, quantum, totals, mut triples } = learnt;
+        let Learnt { grid, mut table, spill, quantum, mut totals, mut triples } = learnt;
         let ranks = table.ranks();
         self.stats.occupied_cells = ranks.len() as u64;
         self.stats.surviving_faces = triples.len() as u64;
         self.stats.outgrown_cells = totals.outgrown() as u64;
         self.stats.cell_size = self.frame.to_file(grid.cell);
         self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, self.crew)?;
-        let borders = Borders::new(&border::open_cells(&triples, ranks.len()), &ranks);
-        if let Some(borders) = &borders {
+        let open = border::open_cells(&triples, ranks.len());
+        if let Some(borders) = Borders::new(&open, &ranks) {
             self.stats.border_cells = borders.len() as u64;
-            let worker = || BorderWorker { table: &table, borders };
+            let worker = || BorderWorker { table: &table, borders: &borders };
             corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+            borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
         drop(spill);
         self.stats.scratch_bytes = self.scratch.bytes();
@@ -287,8 +325,6 @@ impl Run<'_> {
             table: &table,
             totals: &totals,
             quantum,
-            borders: borders.as_ref(),
-            boundary_weight: self.options.boundary_weight,
         };
         let (positions, quadrics) = evidence.represent(&cells, self.crew);
         let mesh = IndexedMesh { positions, faces: triples };
@@ -327,3 +363,6 @@ fn compact(triples: &mut [[u32; 3]], ranks: Vec<u32>) -> Vec<u32> {
     }
     cells
 }
+
+#[cfg(test)]
+mod tests;

@@ -92,7 +92,8 @@ impl<'a> Gatherer<'a> {
     #[inline(always)]
     pub(super) fn add(&mut self, cell: u32, share: &Share) {
         if share.0[PADDED_WEIGHT] > LIMIT as f32 {
-            let wide = share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() - ROUNDER.to_bits()) as i64);
+            let wide =
+                share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
             return self.sums.add_aside(cell, &unpad(&wide));
         }
         // A weight at the limit still fits 32 bits, and the other lanes are no larger.
@@ -106,6 +107,15 @@ impl<'a> Gatherer<'a> {
         for (sum, x) in line.iter_mut().zip(share) {
             *sum = sum.wrapping_add(x);
         }
+    }
+
+    /// Has the lines of cells that are about to be added to brought near, so that the waits for them overlap.
+    pub(super) fn fetch(&self, cells: impl Iterator<Item = u32>) {
+        let mut poisoned = false;
+        for cell in cells {
+            poisoned |= self.sums.lines[cell as usize].0.is_poisoned();
+        }
+        std::hint::black_box(poisoned);
     }
 
     /// Hands all that was gathered to the sums.
@@ -170,7 +180,7 @@ pub(super) struct Totals {
 }
 
 impl Totals {
-    /// A cell's sums.
+    /// A cell's sums, in the order of [`LANES`].
     pub(super) fn of(&self, cell: u32) -> [i64; LANES] {
         let line = self.lines[cell as usize].0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let mut total = line.map(i64::from);
@@ -180,6 +190,18 @@ impl Totals {
             }
         }
         total
+    }
+
+    /// Adds to a cell's sums.
+    pub(super) fn add(&mut self, cell: u32, extra: [i64; LANES]) {
+        let line = self.lines[cell as usize].0.get_mut().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let sums: [i64; LANES] = std::array::from_fn(|i| i64::from(line[i]) + extra[i]);
+        if sums.iter().all(|x| i32::try_from(*x).is_ok()) {
+            *line = sums.map(|x| x as i32);
+        } else {
+            let aside = self.side.entry(cell).or_insert([0; LANES]);
+            *aside = std::array::from_fn(|i| aside[i].wrapping_add(extra[i]));
+        }
     }
 
     /// Cells that outgrew their line.
@@ -230,8 +252,8 @@ mod tests {
         let mut shares = shares(30_000);
         let mut expected = vec![[0i64; LANES]; 5000];
         for (cell, share) in &shares {
-            for lane in 0..LANES {
-                expected[*cell as usize][lane] += share.lanes[lane].round_ties_even() as i64;
+            for (sum, x) in expected[*cell as usize].iter_mut().zip(unpad(&share.0)) {
+                *sum += x.round_ties_even() as i64;
             }
         }
         let (one, outgrown) = gather(&shares, 1);

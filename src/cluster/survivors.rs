@@ -13,6 +13,8 @@ pub(super) const TRIPLE_BYTES: usize = 12;
 
 /// Triples that a worker holds back before it appends them.
 const HELD_BACK: usize = 1024;
+/// Bytes of a worker's [`Appender`].
+pub(super) const APPENDER_BYTES: usize = HELD_BACK * TRIPLE_BYTES;
 
 /// Where workers append triples.
 pub(super) struct Survivors {
@@ -82,7 +84,7 @@ impl<'a> Appender<'a> {
     }
 }
 
-/// Says which way round a sorted triple goes, in the top bit of its last cell's number.
+/// Says which way round a sorted triple goes, in the lowest bit of its last number.
 const FLIPPED: u32 = 1;
 
 /// A triple as it is sorted: least cell, the two others in order, and the orientation as lowest bit.
@@ -163,7 +165,7 @@ mod tests {
     fn opposite_pairs_go_and_orientation_stays() {
         let triples = [[3, 2, 1], [1, 2, 3], [9, 5, 7], [2, 3, 1], [7, 5, 9], [5, 9, 7], [4, 6, 5]];
         let (kept, pairs) = netted(&triples, 1);
-        assert_eq!(kept, [[1, 2, 3], [4, 6, 5], [5, 7, 9]]);
+        assert_eq!(kept, [[1, 2, 3], [4, 6, 5], [5, 9, 7]]);
         assert_eq!(pairs, 2);
     }
 

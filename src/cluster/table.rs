@@ -270,7 +270,7 @@ mod tests {
     fn ranks_do_not_depend_on_who_came_first() {
         let cells: Vec<Steps> = (0..5000u64).map(|i| at(i * i % 97, i % 61, i * 7 % 13)).collect();
         let by_key = |workers: usize| {
-            let table = CellTable::new(5000);
+            let table = CellTable::new(50_000);
             std::thread::scope(|scope| {
                 for w in 0..workers {
                     let (table, cells) = (&table, &cells);
@@ -283,6 +283,6 @@ mod tests {
         };
         let one = by_key(1);
         assert!(one.iter().enumerate().all(|(i, (rank, _))| i == *rank as usize));
-        assert_eq!(one, by_key(4));
+        assert!(one == by_key(4));
     }
 }

@@ -116,8 +116,10 @@ impl<S: Coordinate> Tail<'_, S> {
                 self.heap.push(now);
                 continue;
             }
-            // On a manifold an edge has one or two faces, so the count falls to the target or one below it.
-            if shared > 2 && self.left - shared + 2 < self.options.target {
+            // An edge of a manifold has one or two faces: the count falls to the target or one below it. Edges of more
+            // faces may not take it further, unless nothing else is left.
+            let below = if may_fold > 0 { 2 } else { 1 };
+            if shared > 2 && self.left - shared + below < self.options.target {
                 continue;
             }
             done += usize::from(self.collapse(a, b, may_fold > 0));

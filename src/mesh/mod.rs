@@ -7,5 +7,5 @@ mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
 pub use indexed::{IndexedMesh, narrow, widen};
-pub(crate) use weld::hash_position;
+pub(crate) use weld::{BATCH, PositionTable};
 pub use weld::{WeldReport, weld};

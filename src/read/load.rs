@@ -9,7 +9,7 @@
 
 use super::{Crew, Layout, Scalar, Scan};
 use crate::error::{Error, Result};
-use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh, hash_position, narrow, weld, widen};
+use crate::mesh::{BATCH, Coordinate, Extent, Frame, IndexedMesh, PositionTable, narrow, weld, widen};
 use glam::DVec3;
 
 /// What a loaded scan was before it was welded.
@@ -102,7 +102,7 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) ->
             }
             // What is beyond the limit is read to its end but not kept: stopping early would take an error.
             if welder.mesh.positions.len() as u64 <= most_vertices {
-                chunk.triangles.iter().for_each(|corners| welder.add(corners));
+                welder.add(chunk.triangles);
             }
             Ok(())
         },
@@ -224,13 +224,10 @@ impl Bits {
 /// Makes an indexed mesh of triangles as they come.
 struct Welder<S> {
     mesh: IndexedMesh<S>,
-    /// Open addressing; at most two thirds full.
-    table: Vec<u32>,
+    table: PositionTable,
     repeated_corner_faces: u64,
     extent: Extent,
 }
-
-const NONE: u32 = u32::MAX;
 
 impl<S: Coordinate> Welder<S> {
     fn new(triangles: u64) -> Self {
@@ -238,53 +235,144 @@ impl<S: Coordinate> Welder<S> {
         // ever copied to grow.
         let triangles = triangles as usize;
         let mesh = IndexedMesh { positions: Vec::with_capacity(3 * triangles), faces: Vec::with_capacity(triangles) };
-        Welder { mesh, table: vec![NONE; 1 << 10], repeated_corner_faces: 0, extent: Extent::default() }
+        let table = PositionTable::with_room_for(1 << 10);
+        Welder { mesh, table, repeated_corner_faces: 0, extent: Extent::default() }
     }
 
-    fn add(&mut self, corners: &[[f64; 3]; 3]) {
-        let face = corners.map(|p| {
-            let p = p.map(S::narrow);
-            self.extent.include(widen(p));
-            self.vertex(p)
-        });
-        if face[0] == face[1] || face[1] == face[2] || face[2] == face[0] {
-            self.repeated_corner_faces += 1;
-        } else {
-            self.mesh.faces.push(face);
+    fn add(&mut self, triangles: &[[[f64; 3]; 3]]) {
+        for triangles in triangles.chunks(BATCH / 3) {
+            let mut batch = [[S::narrow(0.0); 3]; BATCH];
+            let batch = &mut batch[..3 * triangles.len()];
+            for (narrowed, p) in batch.iter_mut().zip(triangles.as_flattened()) {
+                *narrowed = p.map(S::narrow);
+                self.extent.include(widen(*narrowed));
+            }
+            self.add_batch(batch);
         }
     }
 
-    fn vertex(&mut self, p: [S; 3]) -> u32 {
-        let mask = self.table.len() - 1;
-        let mut slot = hash_position(&p) as usize & mask;
-        loop {
-            match self.table[slot] {
-                NONE => break,
-                v if self.mesh.positions[v as usize] == p => return v,
-                _ => slot = (slot + 1) & mask,
+    fn add_batch(&mut self, batch: &[[S; 3]]) {
+        let positions = &mut self.mesh.positions;
+        if !self.table.has_room_for(positions.len() + batch.len()) {
+            self.table.grow(positions);
+        }
+        let looked_up = self.table.look_up(batch, positions);
+        for (corners, looked_up) in batch.as_chunks::<3>().0.iter().zip(looked_up.as_chunks::<3>().0) {
+            let mut face = [0; 3];
+            for ((v, p), at) in face.iter_mut().zip(corners).zip(looked_up) {
+                let new = positions.len() as u32;
+                *v = self.table.find_or_insert(p, *at, positions, new);
+                if *v == new {
+                    positions.push(*p);
+                }
+            }
+            if face[0] == face[1] || face[1] == face[2] || face[2] == face[0] {
+                self.repeated_corner_faces += 1;
+            } else {
+                self.mesh.faces.push(face);
             }
         }
-        let v = self.mesh.positions.len() as u32;
-        self.table[slot] = v;
-        self.mesh.positions.push(p);
-        if self.mesh.positions.len() * 3 / 2 >= self.table.len() {
-            self.grow();
-        }
-        v
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Progress;
+
+    fn load_text<S: Coordinate>(name: &str, text: &str) -> Result<(IndexedMesh<S>, Frame, LoadReport)> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let progress = Progress::default();
+        let crew = Crew { workers: 3, progress: &progress };
+        Ok(load(&Scan::open(&path, &progress)?, &crew, u64::MAX)?.unwrap())
     }
 
-    /// Doubles the table; the old one goes first, since it can be made again from the positions.
-    #[cold]
-    fn grow(&mut self) {
-        let slots = 2 * self.table.len();
-        self.table = Vec::new();
-        self.table.resize(slots, NONE);
-        for (v, p) in self.mesh.positions.iter().enumerate() {
-            let mut slot = hash_position(p) as usize & (slots - 1);
-            while self.table[slot] != NONE {
-                slot = (slot + 1) & (slots - 1);
-            }
-            self.table[slot] = v as u32;
+    fn ply(scalar: &str, vertices: &[&str], faces: &[&str]) -> String {
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n\
+             element face {}\nproperty list uchar int vertex_indices\nend_header\n{}\n{}\n",
+            vertices.len(),
+            faces.len(),
+            vertices.join("\n"),
+            faces.join("\n")
+        )
+    }
+
+    #[test]
+    fn what_no_face_needs_is_dropped_and_counted() {
+        let vertices = ["nan 0 0", "0 0 0", "4 0 0", "inf 0 0", "0 4 0", "4 0 0", "0 0 7", "9 9 9", "inf 0 0"];
+        let text = ply("float", &vertices, &["3 1 2 4", "3 6 5 2", "3 4 4 5", "4 1 5 4 6"]);
+        let (mesh, frame, report) = load_text::<f32>("scan.ply", &text).unwrap();
+        assert_eq!(mesh.positions, [[0.0; 3], [0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.875]]);
+        assert_eq!(mesh.faces, [[0, 1, 2], [0, 1, 2], [0, 2, 3]]);
+        assert_eq!(frame.to_file(0.875), 7.0);
+        let extent = Extent { min: DVec3::ZERO, max: DVec3::new(4.0, 4.0, 7.0) };
+        assert_eq!(
+            report,
+            LoadReport { duplicate_vertices: 1, unreferenced_vertices: 4, repeated_corner_faces: 2, extent }
+        );
+    }
+
+    #[test]
+    fn a_non_finite_coordinate_that_a_face_uses_is_refused() {
+        let text = ply("float", &["0 0 0", "1 0 0", "0 nan 0", "1 1 1"], &["3 0 1 3", "3 3 2 1"]);
+        let error = load_text::<f32>("scan.ply", &text).unwrap_err().to_string();
+        assert!(
+            error.ends_with("vertex 2: coordinates (0, NaN, 0), expected finite numbers, since face 1 uses them"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_scan_without_a_whole_face_is_refused() {
+        let text = ply("float", &["0 0 0", "1 0 0", "0 0 -0"], &["3 0 1 2", "3 1 1 0"]);
+        let error = load_text::<f32>("scan.ply", &text).unwrap_err().to_string();
+        assert!(error.ends_with("has no usable face: none has three distinct corners"), "{error}");
+        let facet = "facet normal 0 0 0 outer loop vertex 0 0 0 vertex 1 0 0 vertex -0 0 0 endloop endfacet\n";
+        let error = load_text::<f32>("scan.stl", &format!("solid\n{facet}endsolid")).unwrap_err().to_string();
+        assert!(error.ends_with("has no usable face: none has three distinct corners"), "{error}");
+    }
+
+    #[test]
+    fn doubles_keep_their_bits_and_the_smallest_floats_scale_exactly() {
+        let far = ["500000.1 5400000.3 0.7", "500000.2 5400000.3 0.7", "500000.2 5400000.4 0.7"];
+        let (mesh, frame, _) = load_text::<f64>("scan.ply", &ply("double", &far, &["3 0 1 2"])).unwrap();
+        let back = mesh.positions.iter().map(|p| p.map(|x| frame.to_file(x))).collect::<Vec<_>>();
+        assert_eq!(back[1], [500000.2, 5400000.3, 0.7]);
+
+        let tiny = ["0 0 0", "1e-44 0 0", "0 3e-45 0"];
+        let (mesh, frame, _) = load_text::<f32>("scan.ply", &ply("float", &tiny, &["3 0 1 2"])).unwrap();
+        assert!(mesh.positions[1][0] >= 0.5 && mesh.positions[1][0] < 1.0);
+        assert_eq!(frame.to_file(mesh.positions[2][1].into()) as f32, 3e-45);
+    }
+
+    #[test]
+    fn a_soup_is_welded_like_the_indexed_scan_it_was() {
+        // A strip long enough that the table grows several times.
+        let n = 20_000u32;
+        let position = |v: u32| [(v / 2) as f32 * 0.25, (v % 2) as f32, (v % 5) as f32];
+        let mut stl = vec![0; 80];
+        stl.extend(n.to_le_bytes());
+        for v in 0..n {
+            stl.extend([0; 12]);
+            let corners = [v, v + 1, v + 2].map(position);
+            corners.as_flattened().iter().for_each(|x| stl.extend(x.to_le_bytes()));
+            stl.extend([0; 2]);
         }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("strip.stl");
+        std::fs::write(&path, stl).unwrap();
+        let progress = Progress::default();
+        let scan = Scan::open(&path, &progress).unwrap();
+        let (mesh, frame, report) =
+            load::<f32>(&scan, &Crew { workers: 2, progress: &progress }, 20_002).unwrap().unwrap();
+        let scaled = |v| position(v).map(|x| frame.to_frame(x.into()) as f32);
+        assert_eq!(mesh.positions, (0..n + 2).map(scaled).collect::<Vec<_>>());
+        assert_eq!(mesh.faces, (0..n).map(|v| [v, v + 1, v + 2]).collect::<Vec<_>>());
+        assert_eq!((report.duplicate_vertices, report.unreferenced_vertices, report.repeated_corner_faces), (0, 0, 0));
+        let crew = Crew { workers: 2, progress: &progress };
+        assert!(load::<f32>(&scan, &crew, 20_001).unwrap().is_none());
     }
 }

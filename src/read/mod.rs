@@ -115,7 +115,7 @@ pub struct Scan {
 
 #[derive(Debug)]
 enum Body {
-    Ply(Ply),
+    Ply(Box<Ply>),
     Stl(Stl),
 }
 
@@ -127,7 +127,7 @@ impl Scan {
         let mut head = vec![0; input.len().min(stl::HEAD_BYTES) as usize];
         input.read_at(&mut head, 0)?;
         let body = if ply_header::is_ply(&head) {
-            Body::Ply(Ply::open(&input, progress)?)
+            Body::Ply(Ply::open(&input, progress)?.into())
         } else {
             Body::Stl(Stl::open(&input, progress, &head)?)
         };

@@ -58,6 +58,7 @@ impl VertexRecord {
     }
 
     /// One coordinate of all records after the other, so that types are told apart once a chunk.
+    #[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
     fn decode_by_axis(&self, records: &[u8], out: &mut Vec<[f64; 3]>) {
         out.resize(records.len() / self.stride, [0.0; 3]);
         for (axis, (offset, kind)) in self.axes.into_iter().enumerate() {
@@ -213,6 +214,7 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
     }
 
     #[inline]
+    #[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
     fn number(&mut self, kind: Kind) -> Result<f64, Fault> {
         let bytes = self.take(kind.bytes())?;
         let number = with_kind!(kind, BIG, |get| get(bytes).into());
@@ -233,8 +235,8 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
         let bytes = self.take(n * size)?;
         let mut sound = true;
         with_kind!(kind, BIG, |get| {
-            corners.extend(bytes.chunks_exact(size).map(|b| {
-                let index = get(b) as i64 as u64;
+            corners.extend((0..n).map(|i| {
+                let index = get(&bytes[i * size..]) as i64 as u64;
                 sound &= index < limit;
                 index as u32
             }));
@@ -287,4 +289,82 @@ fn zeros(bytes: &[u8]) -> usize {
     let (blocks, _) = bytes.as_chunks::<LANES>();
     let whole = blocks.iter().take_while(|b| b.iter().fold(0, |any, byte| any | byte) == 0).count() * LANES;
     whole + bytes[whole..].iter().take_while(|&&b| b == 0).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Records of `before` bytes, a count, three indices and `behind` bytes.
+    fn record(before: usize, behind: usize, count: Kind, index: Kind, big: bool) -> TriangleRecord {
+        let stride = before + count.bytes() + 3 * index.bytes() + behind;
+        TriangleRecord { stride, big, offset: before, count, index }
+    }
+
+    fn put(bytes: &mut [u8], at: usize, kind: Kind, big: bool, number: i64) {
+        let (le, len) = (number.to_le_bytes(), kind.bytes());
+        let place = &mut bytes[at..at + len];
+        place.copy_from_slice(&le[..len]);
+        if big {
+            place.reverse();
+        }
+    }
+
+    fn encode(record: &TriangleRecord, faces: &[(i64, [i64; 3])]) -> Vec<u8> {
+        let mut bytes = vec![3; record.stride * faces.len()];
+        for (bytes, (count, corners)) in bytes.chunks_mut(record.stride).zip(faces) {
+            put(bytes, record.offset, record.count, record.big, *count);
+            for (corner, v) in corners.iter().enumerate() {
+                put(bytes, record.corner_offset(corner), record.index, record.big, *v);
+            }
+        }
+        bytes
+    }
+
+    #[test]
+    fn every_layout_of_triangles_is_decoded_or_refused_at_the_right_byte() {
+        const INTEGERS: [Kind; 6] = [Kind::I8, Kind::U8, Kind::I16, Kind::U16, Kind::I32, Kind::U32];
+        let sound: Vec<(i64, [i64; 3])> = (0..40).map(|i| (3, [i, i + 1, (i * 7) % 42])).collect();
+        for count in INTEGERS {
+            for index in INTEGERS {
+                for (big, before, behind) in [(false, 0, 0), (true, 0, 0), (false, 2, 3), (true, 1, 0)] {
+                    let record = record(before, behind, count, index, big);
+                    let mut out = Vec::new();
+                    record.decode(&encode(&record, &sound), 42, &mut out).unwrap();
+                    assert_eq!(out, sound.iter().map(|(_, t)| t.map(|v| v as u32)).collect::<Vec<_>>());
+
+                    let mut bad = sound.clone();
+                    bad[17].1[1] = 42;
+                    let refused = record.decode(&encode(&record, &bad), 42, &mut out).unwrap_err();
+                    assert_eq!((refused.record, refused.byte), (17, record.corner_offset(1)));
+                    assert_eq!(refused.what, "index 42, but the file has 42 vertices");
+                    bad[9] = (4, [0; 3]);
+                    let refused = record.decode(&encode(&record, &bad), 42, &mut out).unwrap_err();
+                    assert_eq!((refused.record, refused.byte), (9, before));
+                    assert!(refused.what.starts_with("a list count that is not 3"));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_negative_index_is_none_however_many_vertices_there_are() {
+        for index in [Kind::I8, Kind::I16, Kind::I32] {
+            let record = record(0, 0, Kind::U8, index, false);
+            let refused = record.decode(&encode(&record, &[(3, [0, 1, -2])]), u64::MAX, &mut Vec::new()).unwrap_err();
+            assert!(refused.what.starts_with("index -2, but"), "{}", refused.what);
+        }
+    }
+
+    #[test]
+    fn zeros_are_counted_to_the_byte() {
+        for len in 0..300 {
+            for first in 0..len {
+                let mut bytes = vec![0; len];
+                bytes[first] = 1;
+                assert_eq!(zeros(&bytes), first);
+            }
+            assert_eq!(zeros(&vec![0; len]), len);
+        }
+    }
 }

@@ -151,8 +151,11 @@ impl<'a, V: Values<'a>> Records<'a, V> {
             let begin = self.values.at();
             self.face().map_err(|fault| self.error(begin, fault))?;
             self.ordinal += 1;
-            if let [first, rest @ ..] = &self.corners[..] {
-                out.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+            match self.corners[..] {
+                [a, b, c] => out.push([a, b, c]),
+                [a, b, c, d] => out.extend([[a, b, c], [a, c, d]]),
+                [first, ref rest @ ..] => out.extend(rest.windows(2).map(|pair| [first, pair[0], pair[1]])),
+                [] => {}
             }
         }
         Ok(self.values.at() - from)
@@ -202,6 +205,7 @@ impl<'a, V: Values<'a>> Records<'a, V> {
     }
 }
 
+#[inline(always)]
 fn list_length<'a>(values: &mut impl Values<'a>, kind: Kind) -> Result<u64, Fault> {
     let byte = values.at();
     let n = values.integer(kind)?;

@@ -257,7 +257,16 @@ mod tests {
         for workers in [0, 1, 2, 3, 8] {
             let progress = Progress::default();
             let crew = Crew { workers, progress: &progress };
-            let sums = pump(&crew, numbers(1000), || 0, |sum, i| Ok(*sum += i)).unwrap();
+            let sums = pump(
+                &crew,
+                numbers(1000),
+                || 0,
+                |sum, i| {
+                    *sum += i;
+                    Ok(())
+                },
+            )
+            .unwrap();
             assert_eq!(sums.len(), workers.max(1));
             assert_eq!(sums.iter().sum::<u64>(), 499_500);
             assert_eq!(progress.now().1, 1000);
@@ -307,7 +316,16 @@ mod tests {
         let signal = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
         let progress = Progress::cancelled_by(signal.clone());
         let crew = Crew { workers: 2, progress: &progress };
-        let error = pump(&crew, || Ok(Some(((), 1))), || (), |_, _| Ok(signal.store(15, SeqCst))).unwrap_err();
+        let error = pump(
+            &crew,
+            || Ok(Some(((), 1))),
+            || (),
+            |_, _| {
+                signal.store(15, SeqCst);
+                Ok(())
+            },
+        )
+        .unwrap_err();
         assert_eq!(error.exit_code(), 143);
     }
 

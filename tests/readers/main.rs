@@ -60,6 +60,11 @@ fn join<T: Clone>(mut chunks: Vec<(u64, Vec<T>)>) -> Vec<T> {
     joined
 }
 
+fn keep<T: Copy>(chunks: &Mutex<Vec<(u64, Vec<T>)>>, first: u64, chunk: &[T]) -> Result<()> {
+    chunks.lock().unwrap().push((first, chunk.to_vec()));
+    Ok(())
+}
+
 /// Streams a scan with so many workers, and checks what every scan promises.
 pub fn stream(scan: &Scan, workers: usize) -> Result<Content> {
     let progress = Progress::default();
@@ -67,7 +72,7 @@ pub fn stream(scan: &Scan, workers: usize) -> Result<Content> {
     let mut content = Content::default();
     if scan.layout() == Layout::Soup {
         let chunks = Mutex::new(Vec::new());
-        scan.soup(&crew, || (), |(), c| Ok(chunks.lock().unwrap().push((c.first, c.triangles.to_vec()))))?;
+        scan.soup(&crew, || (), |(), c| keep(&chunks, c.first, c.triangles))?;
         content.soup = join(chunks.into_inner().unwrap());
         assert!(content.soup.as_flattened().as_flattened().iter().all(|x| x.is_finite()));
         assert_eq!(content.soup.len() as u64, scan.triangle_count());
@@ -75,10 +80,10 @@ pub fn stream(scan: &Scan, workers: usize) -> Result<Content> {
         return Ok(content);
     }
     let chunks = Mutex::new(Vec::new());
-    scan.vertices(&crew, || (), |(), c| Ok(chunks.lock().unwrap().push((c.first, c.positions.to_vec()))))?;
+    scan.vertices(&crew, || (), |(), c| keep(&chunks, c.first, c.positions))?;
     content.positions = join(chunks.into_inner().unwrap());
     let chunks = Mutex::new(Vec::new());
-    scan.triangles(&crew, || (), |(), c| Ok(chunks.lock().unwrap().push((c.first, c.triangles.to_vec()))))?;
+    scan.triangles(&crew, || (), |(), c| keep(&chunks, c.first, c.triangles))?;
     content.triangles = join(chunks.into_inner().unwrap());
     assert_eq!(content.positions.len() as u64, scan.vertex_count());
     assert_eq!(content.triangles.len() as u64, scan.triangle_count());
@@ -115,7 +120,7 @@ pub fn told(error: &Error, path: &Path) -> String {
 pub struct Random(pub u64);
 
 impl Random {
-    pub fn next(&mut self) -> u64 {
+    pub fn draw(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -123,7 +128,7 @@ impl Random {
     }
 
     pub fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
+        (self.draw() % n as u64) as usize
     }
 
     pub fn pick<'a, T>(&mut self, from: &'a [T]) -> &'a T {

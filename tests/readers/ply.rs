@@ -214,7 +214,7 @@ fn text_needs_no_lines() {
 fn words_that_lie_across_windows() {
     let mut random = Random(5);
     let positions: Vec<[f64; 3]> = (0..90_000)
-        .map(|_| [0; 3].map(|_| f64::from(f32::from_bits(random.next() as u32 & 0x7f7f_ffff | 1))))
+        .map(|_| [0; 3].map(|_| f64::from(f32::from_bits(random.draw() as u32 & 0x7f7f_ffff | 1))))
         .collect();
     let polygons: Vec<Vec<u32>> =
         (0..60_000).map(|_| (0..random.below(7)).map(|_| random.below(90_000) as u32).collect()).collect();
@@ -456,7 +456,7 @@ fn more_vertices_than_fit_32_bits() {
     let sample = scan.sample(&crew, 10).unwrap();
     assert_eq!(sample.triangles, [[[0.0; 3], [0.0; 3], [7.0, 8.0, 9.0]]]);
     assert_eq!(sample.blocks_per_triangle, 2.0);
-    assert!(load::<f32>(&scan, &crew).unwrap_err().to_string().contains("more than 4294967294 vertices"));
+    assert!(load::<f32>(&scan, &crew, u64::MAX).unwrap_err().to_string().contains("more than 4294967294 vertices"));
     let last = scan.vertex_error(far.into(), "here".into()).byte();
     assert_eq!(last, Some(text.len() as u64 + u64::from(far) * 3));
 }
