@@ -243,7 +243,7 @@ fn targets_that_cannot_be() {
         assert!(message.contains(out.trim_end_matches('/').split('/').next().unwrap()), "{message}");
     }
     assert!(fs::read(&scan).unwrap() == mesh.bytes(Kind::Floats), "the scan is as it was");
-    let large = folder.scan("large", &torus(300, 180), Kind::Floats);
+    let large = folder.scan("large", &torus(1000, 400), Kind::Floats);
     let args = ["--faces", "1000", "--memory", TIGHT, "--scratch", "/nonexistent/scratch"];
     let message = refused_to(&folder.path("out.ply"), &folder, &large, &args, 1);
     assert!(message.contains("/nonexistent/scratch"), "{message}");
@@ -273,7 +273,7 @@ fn a_full_disk() {
         return;
     }
     let unmount = || assert!(Command::new("umount").arg(&disk).status().unwrap().success());
-    let scan = folder.scan("scan", &torus(300, 180), Kind::Floats);
+    let scan = folder.scan("scan", &torus(1000, 400), Kind::Floats);
     let outcomes = [("50k", "512MiB"), ("1000", TIGHT)].map(|(faces, memory)| {
         let outcome = folder.reduce_to("disk/out.ply", &scan, &["--faces", faces, "--memory", memory]);
         (outcome, fs::read_dir(&disk).unwrap().count())

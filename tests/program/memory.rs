@@ -23,7 +23,7 @@ fn scans(folder: &Folder) -> Vec<PathBuf> {
 fn budgets_are_kept_by_every_input_and_number_of_threads() {
     let folder = Folder::new();
     for scan in scans(&folder) {
-        for memory in ["20MiB", "24MiB", "32MiB", "48MiB", "64MiB", "80MiB", "128MiB"] {
+        for memory in ["20MiB", "32MiB", "64MiB", "128MiB"] {
             for threads in ["1", "8"] {
                 within(&folder, &scan, memory, threads);
             }
@@ -47,8 +47,8 @@ fn within(folder: &Folder, scan: &Path, memory: &str, threads: &str) {
 fn a_budget_that_is_too_small_is_refused_with_one_that_works() {
     let folder = Folder::new();
     for scan in scans(&folder) {
-        for faces in ["0", "1000", "30k", "100k", "1M"] {
-            for memory in ["1", "1MiB", "16MiB", "20MiB", "40MiB"] {
+        for faces in ["0", "30k", "1M"] {
+            for memory in ["1", "16MiB", "32MiB"] {
                 refused_or_done(&folder, &scan, faces, memory);
             }
         }
