@@ -1,4 +1,43 @@
-//! meshmill reduces huge scans in fixed memory.
+//! meshmill reduces huge scans to the face count that is asked for, in fixed memory, and says how far it went.
+//!
+//! ```text
+//!            ┌ fits the budget ──→ load, weld ──────────────────┐
+//!  scan ─→ read                                                 ├─→ collapse ─→ write
+//!            └ does not ──→ cluster: bin, sum, place, carry ────┘
+//!                           quadrics over
+//! ```
+//!
+//! One module a stage; [`pipeline`] is their order, [`plan`] decides what a budget buys.
+//!
+//! | module | takes | gives |
+//! |---|---|---|
+//! | [`read`] | a mapped PLY or STL | chunks of vertices, triangles or soup; or the whole scan, welded |
+//! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex |
+//! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
+//! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
+//! | [`synth`] | a count and a seed | a scan to try all this on |
+//!
+//! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
+//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster` streams through `read`; none of them
+//! knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
+//!
+//! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
+//! tables are sized from the scan and the budget; what threads share is summed in integers; every step of the collapse is a
+//! function of the state before it.
+//!
+//! **Invariant:** the process's peak resident set stays within the budget, input and output pages included. Each stage's
+//! documentation has its bytes a face, a vertex or a cell; [`plan`] adds them up before anything is read.
+//!
+//! **Invariant:** nothing is allocated on a file's word. Counts are held against the file's size first.
+//!
+//! **Invariant:** no constant knows the size or place of a scan. Coordinates are scaled by a power of two into a
+//! [`mesh::Frame`] and kept in the scalar that the file has; arithmetic is done in `f64` on differences.
+//!
+//! Words: *soup*, triangles without shared vertices. *Weld*, make one vertex of coincident ones. *Cell*, a cube of the
+//! clustering grid; *representative*, its vertex. *Quadric*, squared distance to weighted planes. *Candidate*, an edge that
+//! could be collapsed; *cost*, its quadric's value: squared length times area. *Batch*, collapses applied together. *Spill*,
+//! what memory does not hold, in a scratch file. *Deviation*, a measured length; *error*, an estimated one or a failure.
+//! *Budget*, bytes.
 
 pub mod budget;
 pub mod cluster;

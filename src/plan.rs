@@ -5,7 +5,7 @@
 //!
 //! | | resident |
 //! |---|---|
-//! | always | [`BASE_BYTES`] (program, stacks, allocator) and what a streaming pass maps and decodes |
+//! | always | 12 MiB (program, stacks, allocator) and what a streaming pass maps and decodes |
 //! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
 //! | in core, collapse | 36 a face, 109 a vertex (133): about 91 a face on closed scans |
 //! | out of core, binning | the cell table (27 + 8 a cell), and the binned vertices, 8 each, where they fit |

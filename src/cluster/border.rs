@@ -1,10 +1,10 @@
 //! Open borders of the scan, held in place without connectivity.
 //!
-//! Clustering is a simplicial map, so an edge of the intermediate mesh with an odd number of faces can only come from open
-//! border of the scan: it shows which cells hold some. In those cells, each face's directed edges `x₀ → x₁` add
+//! Clustering is a simplicial map, so an edge of the intermediate mesh with an odd number of faces can only come from
+//! open border of the scan: it shows which cells hold some. In those cells, each face's directed edges `x₀ → x₁` add
 //! `e₁ = Σ (x₁ − x₀)` and `e₂ = Σ x₀ × x₁` (Lindstrom and Silva, *A memory insensitive technique for large model
-//! simplification*, 2001): an interior edge is there once each way and cancels, exactly since these are integers, so what is
-//! left is border, and `|e₁ × x + e₂|²` is the squared distance from it times its squared length.
+//! simplification*, 2001): an interior edge is there once each way and cancels, exactly since these are integers, so
+//! what is left is border, and `|e₁ × x + e₂|²` is the squared distance from it times its squared length.
 //!
 //! It costs a second pass over the faces, and only scans with borders pay it.
 

@@ -1,8 +1,8 @@
 //! Binning vertices, and faces as triples of binned corners, whatever layout and order the scan has.
 //!
-//! An indexed scan's vertices are binned once, into the [`Spill`]; a face then gathers its corners there: from memory when
-//! the spill is resident, through a page cache when faces come in an order that keeps to a few pages, and by a join through
-//! buckets on scratch when they do not. A soup's corners are binned as they come.
+//! An indexed scan's vertices are binned once, into the [`Spill`]; a face then gathers its corners there: from memory
+//! when the spill is resident, through a page cache when faces come in an order that keeps to a few pages, and by a
+//! join through buckets on scratch when they do not. A soup's corners are binned as they come.
 
 use super::grid::{Corner, Grid};
 use super::join;

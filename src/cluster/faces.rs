@@ -1,7 +1,7 @@
 //! The face pass: every face adds its plane to the cells of its corners, and survives if they are three.
 //!
-//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, cross products, normals
-//! (four at a time), sums. One face at a time would wait for its own square root and division.
+//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, cross products,
+//! normals (four at a time), sums. One face at a time would wait for its own square root and division.
 
 use super::corners::{BATCH, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
@@ -116,8 +116,8 @@ impl Sink for FaceWorker<'_> {
 }
 
 impl Batch {
-    /// Takes faces in, those with all corners in one cell first; returns how many these are. Which is which is as good as
-    /// random, so this is done without a branch.
+    /// Takes faces in, those with all corners in one cell first; returns how many these are. Which is which is as good
+    /// as random, so this is done without a branch.
     fn sort_apart(&mut self, faces: &[[Corner; 3]]) -> usize {
         let (mut inside, mut across) = (0, faces.len().min(BATCH));
         for face in faces.iter().take(BATCH) {
@@ -143,8 +143,8 @@ impl Batch {
         }
     }
 
-    /// Cross products of faces across cells: exact before they are rounded, so they do not depend on the corner from which
-    /// the edges start.
+    /// Cross products of faces across cells: exact before they are rounded, so they do not depend on the corner from
+    /// which the edges start.
     fn cross_across(&mut self, inside: usize, end: usize, table: &CellTable) {
         for i in inside..end {
             let face = self.faces[i];
@@ -163,8 +163,8 @@ impl Batch {
         }
     }
 
-    /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still counts a
-    /// quantum: the mean of a cell with such faces only is defined.
+    /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still
+    /// counts a quantum: the mean of a cell with such faces only is defined.
     fn normalise(&mut self, end: usize, quanta: f32) {
         let (x, y, z, w) = (&mut self.x[..end], &mut self.y[..end], &mut self.z[..end], &mut self.w[..end]);
         for (((x, y), z), w) in x.iter_mut().zip(y).zip(z).zip(w) {

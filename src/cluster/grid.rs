@@ -1,7 +1,7 @@
 //! The grid: positions to cells and back.
 //!
-//! A position is first quantised to steps of 1/8192 of a cell and only then split into cell and place within the cell, so
-//! that everything after this file is exact integer arithmetic: two faces that share a vertex see the same bits.
+//! A position is first quantised to steps of 1/8192 of a cell and only then split into cell and place within the cell,
+//! so that everything after this file is exact integer arithmetic: two faces that share a vertex see the same bits.
 
 use crate::mesh::Frame;
 use glam::DVec3;
@@ -33,9 +33,9 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long) about a scan whose
-    /// least corner is `min` in the file's units. The origin is a quarter cell below it: a flat side of an axis-aligned
-    /// model then lies inside a layer of cells, not on the wall between two.
+    /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long) about a scan
+    /// whose least corner is `min` in the file's units. The origin is a quarter cell below it: a flat side of an
+    /// axis-aligned model then lies inside a layer of cells, not on the wall between two.
     pub(super) fn new(frame: Frame, min: DVec3, cell: f64) -> Self {
         let cell = cell.max(Self::finest());
         let min = DVec3::new(frame.to_frame(min.x), frame.to_frame(min.y), frame.to_frame(min.z));
@@ -55,7 +55,7 @@ impl Grid {
         let s = (p - self.origin) * self.steps_per_unit;
         // False for whatever is not a number or not within the extent; infinities of opposite sign sum to NaN.
         let sum = s.x + s.y + s.z;
-        (sum >= 0.0 && sum < 4.0 * MAX_CELLS_A_SIDE * STEPS).then(|| [round(s.x), round(s.y), round(s.z)])
+        (0.0..4.0 * MAX_CELLS_A_SIDE * STEPS).contains(&sum).then(|| [round(s.x), round(s.y), round(s.z)])
     }
 
     /// The position in the frame of a place `local` (in cells, about the cell's centre) in the cell `key`.

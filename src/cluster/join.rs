@@ -1,10 +1,11 @@
 //! Faces joined to their vertices when neither fits memory and their orders have nothing to do with each other.
 //!
-//! Vertices are cut into *ranges* that fit memory, ranges into *buckets*. First every face goes to the bucket of its least
-//! vertex. Then one sweep over the ranges, upwards: a range's corners are loaded once, and each face that waits there has
-//! the corners resolved that lie in it. A face with corners left waits at the least range that has one of them, which is
-//! always further up; so one sweep resolves everything, and a file is freed as soon as the sweep has passed. Buckets finer
-//! than ranges cost nothing and keep faces that are close together, whose cells then stay in the caches.
+//! Vertices are cut into *ranges* that fit memory, ranges into *buckets*. First every face goes to the bucket of its
+//! least vertex. Then one sweep over the ranges, upwards: a range's corners are loaded once, and each face that waits
+//! there has the corners resolved that lie in it. A face with corners left waits at the least range that has one of
+//! them, which is always further up; so one sweep resolves everything, and a file is freed as soon as the sweep has
+//! passed. Buckets finer than ranges cost nothing and keep faces that are close together, whose cells then stay in the
+//! caches.
 
 use super::corners::{Feed, Sink};
 use super::grid::Corner;
@@ -22,8 +23,8 @@ const BUFFER: usize = 2048;
 /// Records that a worker reads at a time.
 const RUN: usize = 8192;
 
-/// Bytes that a worker of a join holds: buffers while faces are partitioned; then a run of records, and buffers for those
-/// that wait at ranges further up, of which there are fewer.
+/// Bytes that a worker of a join holds: buffers while faces are partitioned; then a run of records, and buffers for
+/// those that wait at ranges further up, of which there are fewer.
 pub(super) const WORKER_BYTES: usize = BUCKETS as usize * BUFFER * 4 + RUN * WORDS[2] * 4;
 
 /// How vertices are cut up.
@@ -39,7 +40,7 @@ struct Cut {
 impl Cut {
     fn new(vertices: u64, resident_bytes: u64) -> Self {
         let bucket_bits = vertices.div_ceil(BUCKETS).next_power_of_two().trailing_zeros();
-        let buckets_a_range = (resident_bytes / 8 >> bucket_bits).max(1);
+        let buckets_a_range = ((resident_bytes / 8) >> bucket_bits).max(1);
         Cut { vertices, bucket_bits, buckets_a_range }
     }
 
@@ -129,8 +130,8 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// Streams every face of an indexed scan to sinks, with at most `resident_bytes` of the spill in memory (or a 256th of it,
-/// if that is more).
+/// Streams every face of an indexed scan to sinks, with at most `resident_bytes` of the spill in memory (or a 256th of
+/// it, if that is more).
 pub(super) fn stream<K: Sink>(
     scan: &Scan,
     crew: &Crew,

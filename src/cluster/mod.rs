@@ -1,19 +1,22 @@
 //! Streaming vertex clustering with quadric representatives, in fixed memory.
 //!
-//! A grid is laid over the scan, as fine as the table of cells allows. Every face adds its plane, weighted by area, to the
-//! cells of its corners; faces whose corners are in three cells survive. Each cell that they use becomes a vertex, placed
-//! where the squared distance to the planes it has learnt is least, and hands those planes on as its quadric. After Lindstrom,
-//! *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
+//! A grid is laid over the scan, as fine as the table of cells allows. Every face adds its plane, weighted by area, to
+//! the cells of its corners; faces whose corners are in three cells survive. Each cell that they use becomes a vertex,
+//! placed where the squared distance to the planes it has learnt is least, and hands those planes on as its quadric.
+//! After Lindstrom, *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
 //!
-//! Passes over the scan: extent; vertices to the [`spill`]; faces to [`sums`] and [`survivors`]; where the scan has open borders,
-//! faces once more ([`border`]). A soup has no vertex pass: corners are binned as they come.
+//! Passes over the scan: extent; vertices to the spill (`spill.rs`); faces to sums and survivors (`faces.rs`,
+//! `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more (`border.rs`). A soup has no vertex
+//! pass: corners are binned as they come.
 //!
-//! **Promises.** The result depends on the scan and the options alone, not on threads, nor on the order of faces or vertices
-//! beyond the sample that sizes the cells: sums are integers, cells are numbered in Morton order, survivors are sorted. An edge of
-//! the result has an odd number of faces only where the scan has open border. Representatives lie in their cells. Where a table
-//! overflows, which the scan alone decides, all is thrown away and begun again with larger cells.
+//! **Promises.** The result depends on the scan and the options alone, not on threads, nor on the order of faces or
+//! vertices beyond the sample that sizes the cells: sums are integers, cells are numbered in Morton order, survivors
+//! are sorted. An edge of the result has an odd number of faces only where the scan has open border. Representatives
+//! lie in their cells. Where a table overflows, which the scan alone decides, all is thrown away and begun again with
+//! larger cells.
 //!
-//! **Does not promise** a manifold: sheets that are closer than a cell may touch, and a part smaller than a cell vanishes.
+//! **Does not promise** a manifold: sheets that are closer than a cell may touch, and a part smaller than a cell
+//! vanishes.
 //!
 //! **Memory**, in bytes ([`bytes_per_cell`], [`bytes_per_worker`]):
 //!
@@ -28,8 +31,8 @@
 //! | placement, without the block table: quadric 44, position 12 or 24 | **132, 144** |
 //!
 //! beside 12 bytes for each of `raw_faces`, 12 more for the survivors of netting while borders are looked for, up to
-//! `spill_resident_bytes`, and per worker the caches of the face pass. A spill that does not fit takes 8 bytes a vertex of
-//! scratch; a join takes 12 to 28 more a face.
+//! `spill_resident_bytes`, and per worker the caches of the face pass. A spill that does not fit takes 8 bytes a
+//! vertex of scratch; a join takes 12 to 28 more a face.
 
 mod border;
 mod corners;
@@ -332,9 +335,10 @@ impl Run<'_> {
     }
 }
 
-/// The unit of weight, in cells², for cells that touch `mean_area` cells² of surface on average. A face counts for up to three
-/// cells, so the mean weight is at most three times that, and at most one cell in 85 has more than the 256 times that a
-/// line holds: the side table stays below 3 bytes a cell. A face of a fiftieth of a cell still weighs 10⁵ quanta.
+/// The unit of weight, in cells², for cells that touch `mean_area` cells² of surface on average. A face counts for up
+/// to three cells, so the mean weight is at most three times that, and at most one cell in 85 has more than the 256
+/// times that a line holds: the side table stays below 3 bytes a cell. A face of a fiftieth of a cell still weighs 10⁵
+/// quanta.
 fn quantum(mean_area: f64) -> f64 {
     let line = 256.0 * mean_area;
     if line.is_finite() && line > 0.0 { line / (1u64 << 31) as f64 } else { 1.0 / (1 << 24) as f64 }

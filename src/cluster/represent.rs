@@ -9,8 +9,8 @@ use crate::quadric::{PackedQuadric, Quadric};
 use crate::read::Crew;
 use glam::DVec3;
 
-/// How hard the mean pulls. At 1e-2 sharp edges round (a turbine blade's squared deviation grows by a fifth), at 1e-4 noise
-/// decides along directions about which the planes say little, and twice as many faces turn back.
+/// How hard the mean pulls. At 1e-2 sharp edges round (a turbine blade's squared deviation grows by a fifth), at 1e-4
+/// noise decides along directions about which the planes say little, and twice as many faces turn back.
 const PULL: f64 = 1e-3;
 
 /// All that a representative is made of.

@@ -1,8 +1,8 @@
 //! How large cells should be: from a sample, corrected by what a pass has counted.
 //!
-//! A plane of area `A` crosses about `A (|nx| + |ny| + |nz|) / h²` cells of side `h`; of the cells that a surface crosses,
-//! those without a vertex stay empty, which for `V` vertices spread over `C` cells leaves `C (1 − e^(−V/C))`. The side is
-//! chosen so that this fills most of the table. Only basic arithmetic is used: the same on every machine.
+//! A plane of area `A` crosses about `A (|nx| + |ny| + |nz|) / h²` cells of side `h`; of the cells that a surface
+//! crosses, those without a vertex stay empty, which for `V` vertices spread over `C` cells leaves `C (1 − e^(−V/C))`.
+//! The side is chosen so that this fills most of the table. Only basic arithmetic is used: the same on every machine.
 
 use super::grid::{Grid, cell_key};
 use super::table::{CellTable, block_key, mix};

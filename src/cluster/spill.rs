@@ -1,7 +1,7 @@
 //! Binned vertices, 8 bytes each: in memory when they fit, in a scratch file when they do not.
 //!
-//! The file is read with positioned reads only: pages of it that the system keeps in memory are the system's, not ours, so
-//! the resident set stays what the arithmetic says.
+//! The file is read with positioned reads only: pages of it that the system keeps in memory are the system's, not
+//! ours, so the resident set stays what the arithmetic says.
 
 use super::grid::Corner;
 use crate::error::Result;
@@ -65,8 +65,8 @@ impl SpillFile {
     }
 }
 
-/// A worker's window on a spill file: 2 MiB of pages, found by the low bits of their number. Scans in a sensible order hit
-/// it; others are joined instead.
+/// A worker's window on a spill file: 2 MiB of pages, found by the low bits of their number. Scans in a sensible order
+/// hit it; others are joined instead.
 pub(super) struct PageCache<'a> {
     spill: &'a SpillFile,
     pages: Vec<Corner>,

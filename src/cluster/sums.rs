@@ -1,10 +1,11 @@
 //! What each cell learns from its faces: a quadric and first moments, in integers.
 //!
-//! A cell's sums are 14 numbers in fixed point about the cell's centre, with the cell's side as unit of length: `A` (6), `b`
-//! (3), `c`, `w` and `Σ w·p` (3). Integers make the sums independent of the order of faces, of the threads and of how a scan
-//! is cut up. With a unit normal, a plane through a point of the cell and |p| ≤ ½, no lane of a contribution is larger than
-//! its weight, so one comparison of weights guards all 14 against overflow of their 32 bits; a line that would overflow moves
-//! to a side table of 64-bit sums. Which cells have a line there is decided by their weight alone.
+//! A cell's sums are 14 numbers in fixed point about the cell's centre, with the cell's side as unit of length: `A`
+//! (6), `b` (3), `c`, `w` and `Σ w·p` (3). Integers make the sums independent of the order of faces, of the threads
+//! and of how a scan is cut up. With a unit normal, a plane through a point of the cell and |p| ≤ ½, no lane of a
+//! contribution is larger than its weight, so one comparison of weights guards all 14 against overflow of their 32
+//! bits; a line that would overflow moves to a side table of 64-bit sums. Which cells have a line there is decided by
+//! their weight alone.
 //!
 //! Lines are 64 bytes with their lock. Locking one for every contribution would cost more than the arithmetic, so each
 //! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row.
@@ -23,8 +24,8 @@ const PADDED: usize = 16;
 const PADDED_WEIGHT: usize = 12;
 /// Largest weight of a line, with some room for the rounding of single contributions.
 const LIMIT: i64 = (1 << 31) - (1 << 20);
-/// Largest weight of one contribution: 2¹⁴ of them do not overflow a side sum. A face of that weight has thousands of times
-/// the area that the whole scan was estimated to have.
+/// Largest weight of one contribution: 2¹⁴ of them do not overflow a side sum. A face of that weight has thousands of
+/// times the area that the whole scan was estimated to have.
 const HEAVIEST: f32 = (1u64 << 48) as f32;
 
 /// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.

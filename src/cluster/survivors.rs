@@ -1,8 +1,9 @@
 //! Faces that survive: three corners in three cells.
 //!
-//! They are kept as triples of cell numbers in one array that all workers append to, and *netted* at the end: of coincident
-//! triples, pairs of opposite orientation go. A pair takes two faces from each of its edges and one triple alone is never
-//! taken, so no edge gains or loses an odd number of faces: where the scan is closed, what is left is closed.
+//! They are kept as triples of cell numbers in one array that all workers append to, and *netted* at the end: of
+//! coincident triples, pairs of opposite orientation go. A pair takes two faces from each of its edges and one triple
+//! alone is never taken, so no edge gains or loses an odd number of faces: where the scan is closed, what is left is
+//! closed.
 
 use crate::error::Result;
 use crate::read::Crew;
@@ -105,8 +106,8 @@ fn decode([a, b, c]: [u32; 3]) -> [u32; 3] {
     if c & FLIPPED == 0 { [a, b, c >> 1] } else { [a, c >> 1, b] }
 }
 
-/// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and `n₋`
-/// coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
+/// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
+/// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
 pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
     for triple in triples.iter_mut() {
         *triple = encode(triple.map(|cell| ranks[cell as usize]));

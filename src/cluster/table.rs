@@ -1,15 +1,16 @@
 //! The table of occupied cells: a position's cell to its number.
 //!
-//! Cells are found through blocks of 4³: a surface fills about 16 of a block's 64, so a scan in any sensible order finds
-//! its block in the cache and the cell without a probe. Workers share the table without locks; numbers are handed out
-//! first come, first served, and [`CellTable::ranks`] makes them independent of who came first. Whether the table
-//! overflows depends on the scan alone: it does when there are more distinct cells or blocks than it has room for.
+//! Cells are found through blocks of 4³: a surface fills about 16 of a block's 64, so a scan in any sensible order
+//! finds its block in the cache and the cell without a probe. Workers share the table without locks; numbers are
+//! handed out first come, first served, and [`CellTable::ranks`] makes them independent of who came first. Whether the
+//! table overflows depends on the scan alone: it does when there are more distinct cells or blocks than it has room
+//! for.
 
 use super::grid::{COORDINATE_BITS, LOCAL_BITS, MAX_CELLS, Steps, cell_key};
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::*};
 
-/// Cells for which the table has one block. Surfaces need one for 14 to 17 cells; sparse vertices need more, and then the
-/// grid is chosen coarser.
+/// Cells for which the table has one block. Surfaces need one for 14 to 17 cells; sparse vertices need more, and then
+/// the grid is chosen coarser.
 const CELLS_PER_BLOCK: usize = 10;
 /// Slots per block that may be taken, in quarters: linear probing stays short at a load of 4/5.
 const SLOTS_PER_4_BLOCKS: usize = 5;
@@ -102,8 +103,8 @@ impl CellTable {
         }
     }
 
-    /// Takes a free slot: `Some(true)` if it is the block's now, `Some(false)` if there is no room for another block, `None`
-    /// if another block was faster.
+    /// Takes a free slot: `Some(true)` if it is the block's now, `Some(false)` if there is no room for another block,
+    /// `None` if another block was faster.
     #[cold]
     fn take(&self, slot: usize, key: u64) -> Option<bool> {
         if self.is_full() {
@@ -163,8 +164,8 @@ impl CellTable {
         self.keys[cell as usize].load(Relaxed)
     }
 
-    /// Each cell's rank in Morton order: a numbering that only the set of cells decides, and in which neighbours in space
-    /// are neighbours in memory.
+    /// Each cell's rank in Morton order: a numbering that only the set of cells decides, and in which neighbours in
+    /// space are neighbours in memory.
     pub(super) fn ranks(&self) -> Vec<u32> {
         let mut order: Vec<(u64, u32)> = (self.blocks.iter().enumerate())
             .filter_map(|(slot, key)| Some((morton(key.load(Relaxed).checked_sub(1)?), slot as u32)))

@@ -15,7 +15,8 @@ struct Made {
 
 fn ply(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Made {
     let mut bytes = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+        "ply\nformat binary_little_endian 1.0\n\
+         element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          element face {}\nproperty list uchar int vertex_indices\nend_header\n",
         positions.len(),
         faces.len()

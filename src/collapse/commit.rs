@@ -5,7 +5,7 @@ use super::surface::{MERGED, ODD, Surface, TOUCHED};
 use crate::mesh::{Coordinate, widen};
 use crate::quadric::PackedQuadric;
 use rayon::prelude::*;
-use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 
 /// A face still uses the vertex.
 const USED: u8 = 8;
@@ -14,13 +14,13 @@ const USED: u8 = 8;
 const BLOCK: usize = 1 << 16;
 
 /// Performs the collapses of `pairs` (all that `batch` holds). Returns the largest squared error among the merged vertices.
-pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, pairs: &[Pair]) -> f64 {
+pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &mut Batch<S>, pairs: &[Pair]) -> f64 {
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
         m.fetch_and(ODD, Relaxed);
     });
     let error_sq = merge(surface, batch, pairs);
     rename(surface, batch);
-    compact(surface);
+    compact(surface, batch.spare());
     error_sq
 }
 
@@ -74,17 +74,15 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
 }
 
 /// Drops faces that are no more and vertices that no face uses.
-fn compact<S: Coordinate>(surface: &mut Surface<S>) {
+fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
     let Surface { faces, costs, positions, learnt, current, marks, .. } = surface;
     let mut kept = 0;
-    let numbers: Vec<u32> = marks
-        .iter()
-        .map(|m| {
-            let used = m.load(Relaxed) & USED != 0;
-            kept += u32::from(used);
-            if used { kept - 1 } else { NONE }
-        })
-        .collect();
+    for (number, mark) in numbers.iter_mut().zip(&mut *marks) {
+        let used = *mark.get_mut() & USED != 0;
+        *number.get_mut() = if used { kept } else { NONE };
+        kept += u32::from(used);
+    }
+    let numbers = &*numbers;
     rayon::join(
         || {
             rayon::join(
@@ -92,33 +90,33 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>) {
                     faces.retain_mut(|face| {
                         let lives = face[0] != NONE;
                         if lives {
-                            *face = face.map(|v| numbers[v as usize]);
+                            *face = face.map(|v| numbers[v as usize].load(Relaxed));
                         }
                         lives
                     })
                 },
                 || {
-                    keep(positions, &numbers);
-                    keep_marks(marks, &numbers);
+                    keep(positions, numbers);
+                    keep_marks(marks, numbers);
                 },
             )
         },
         || {
-            keep(learnt, &numbers);
-            keep(current, &numbers);
+            keep(learnt, numbers);
+            keep(current, numbers);
             costs.retain(|c| !c[0].is_nan());
         },
     );
 }
 
 /// Moves the kept elements to their new places, which are never behind their old ones.
-fn keep<T: Copy>(items: &mut Vec<T>, numbers: &[u32]) {
+fn keep<T: Copy>(items: &mut Vec<T>, numbers: &[AtomicU32]) {
     let mut kept = 0;
     if items.is_empty() {
         return;
     }
-    for (old, &new) in numbers.iter().enumerate() {
-        if new != NONE {
+    for (old, new) in numbers.iter().enumerate() {
+        if new.load(Relaxed) != NONE {
             items[kept] = items[old];
             kept += 1;
         }
@@ -126,10 +124,10 @@ fn keep<T: Copy>(items: &mut Vec<T>, numbers: &[u32]) {
     items.truncate(kept);
 }
 
-fn keep_marks(marks: &mut Vec<std::sync::atomic::AtomicU8>, numbers: &[u32]) {
+fn keep_marks(marks: &mut Vec<AtomicU8>, numbers: &[AtomicU32]) {
     let mut old = 0;
     marks.retain(|_| {
         old += 1;
-        numbers[old - 1] != NONE
+        numbers[old - 1].load(Relaxed) != NONE
     });
 }

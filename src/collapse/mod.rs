@@ -6,10 +6,10 @@
 //! exact: the target or one below it on manifolds, at most two below elsewhere.
 //!
 //! **The cost.** Every vertex carries what it has *learnt* of the scan: the sum of the area-weighted quadrics of all faces it
-//! stands for (thesis §3.4), from clustering where the scan was clustered. Down to [`LAST_FACTOR`] times the target, learnt
+//! stands for (thesis §3.4), from clustering where the scan was clustered. Down to ten times the target, learnt
 //! quadrics choose what collapses and where to. From there on the planes of the *current* faces choose the place (each face
 //! of both stars once, as in Lindstrom–Turk's memoryless simplification), and the learnt quadric's value at that place is
-//! added to their cost at [`LEARNT_WEIGHT`]: noisy planes of the scan, extended far from where they lie, are poor judges of
+//! added to their cost at half weight: noisy planes of the scan, extended far from where they lie, are poor judges of
 //! where a vertex belongs, but they alone remember that a horn was longer.
 //!
 //! | E_avg against QSlim 2.1 | cow 300 | bunny 1,600 | femur 1 % | teeth 1 % |
@@ -88,7 +88,7 @@ struct Pace {
     slack: f64,
 }
 
-/// Far from the target nothing is decided yet: half as many rounds as at [`NEAR`]'s pace, at the same E_avg (±2 %).
+/// Far from the target nothing is decided yet: half as many rounds as at the near pace, at the same E_avg (±2 %).
 const FAR: Pace = Pace { share: 0.45, slack: 8.0 };
 
 /// Near the target the order matters: at a slack of 3, E_avg is 7 % higher on a noisy scan; at a share of 0.25 it is 1 %
@@ -210,7 +210,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         if pairs.is_empty() {
             return Ok(None);
         }
-        let error_sq = commit::commit(surface, &self.batch, &pairs);
+        let error_sq = commit::commit(surface, &mut self.batch, &pairs);
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();

@@ -12,8 +12,7 @@
 use super::Options;
 use super::surface::{Surface, turned};
 use crate::mesh::adjacency::{after, before, parts};
-use crate::mesh::{Coordinate, widen};
-use glam::DVec3;
+use crate::mesh::{Coordinate, step, widen};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -58,8 +57,12 @@ impl<S: Coordinate> Batch<S> {
         self.mates.clear();
         self.mates.resize_with(n, || AtomicU32::new(NONE));
         self.spots.resize(n, [S::narrow(0.0); 3]);
-        for _ in 0..TURNS {
-            self.prefer(surface, limit);
+        for turn in 0..TURNS {
+            if turn == 0 {
+                self.prefer(surface, limit, |_, _| true);
+            } else {
+                self.prefer(surface, limit, |mates, v| mates[v as usize].load(Relaxed) == NONE);
+            }
             let (taken, refused) = self.take(surface, options);
             for &(v, u) in &refused {
                 surface.refuse(v, u);
@@ -68,14 +71,13 @@ impl<S: Coordinate> Batch<S> {
                 break;
             }
         }
-        self.best = Vec::new();
         self.take_back_folds(surface);
     }
 
     /// Every free vertex looks for its cheapest edge to a free vertex, unless the one it found before still stands.
-    fn prefer(&mut self, surface: &Surface<S>, limit: f32) {
+    fn prefer(&mut self, surface: &Surface<S>, limit: f32, is_free: impl Fn(&[AtomicU32], u32) -> bool + Sync) {
         let mates = &self.mates;
-        let free = |v: u32| mates[v as usize].load(Relaxed) == NONE;
+        let free = |v: u32| is_free(mates, v);
         self.best.par_iter_mut().enumerate().with_min_len(1024).for_each(|(v, best)| {
             let (v, best) = (v as u32, best.get_mut());
             if *best == NONE || *best != ASK && free(v) && free(*best) {
@@ -103,7 +105,7 @@ impl<S: Coordinate> Batch<S> {
                     }
                     let candidate = surface.candidate(&surface.stars, v, u, options);
                     *spot = surface.spot(v, u, candidate.step);
-                    let admitted = admissible(surface, v, u, widen(*spot), options);
+                    let admitted = admissible(surface, v, u, *spot, options);
                     for (x, y) in [(v, u), (u, v)] {
                         if admitted {
                             mates[x as usize].store(y, Relaxed);
@@ -169,17 +171,17 @@ impl<S: Coordinate> Batch<S> {
         if moving < 2 || mates.iter().any(|u| face.contains(u)) {
             return None;
         }
-        let was = face.map(|v| surface.at(v));
+        let was = face.map(|v| surface.positions[v as usize]);
         let mut would = was;
         let mut blamed = None;
         for i in 0..3 {
             if mates[i] != NONE {
                 let leader = face[i].min(mates[i]);
-                would[i] = widen(self.spots[leader as usize]);
+                would[i] = self.spots[leader as usize];
                 blamed = blamed.max(Some((hash(leader, leader), leader)));
             }
         }
-        let normal = |p: [DVec3; 3]| (p[1] - p[0]).cross(p[2] - p[0]);
+        let normal = |p: [[S; 3]; 3]| step(p[0], p[1]).cross(step(p[0], p[2]));
         turned(normal(was), normal(would)).then_some(blamed?.1)
     }
 
@@ -201,6 +203,11 @@ impl<S: Coordinate> Batch<S> {
         *self.mates[pair.goes as usize].get_mut() = NONE;
     }
 
+    /// The memory of the preferences, which are no longer needed once the batch is chosen.
+    pub fn spare(&mut self) -> &mut Vec<AtomicU32> {
+        &mut self.best
+    }
+
     /// Where a collapse puts its vertex.
     #[inline(always)]
     pub fn spot(&self, leader: u32) -> [S; 3] {
@@ -220,41 +227,34 @@ impl<S: Coordinate> Batch<S> {
     }
 }
 
-/// The free end of the cheapest edge at `v` of at most `limit`, or [`NONE`].
+/// The free end of the cheapest edge at `v` of at most `limit`, or [`NONE`]. Ties go by hash: they are the rule on flat
+/// regions, where all costs are zero, and an order by number would let one edge in a row collapse at a time. Without
+/// branches on costs, which no processor can predict: a third faster than with them.
 #[inline(always)]
 fn cheapest<S: Coordinate>(surface: &Surface<S>, v: u32, limit: f32, free: impl Fn(u32) -> bool) -> u32 {
-    let mut least = (limit, NONE);
+    let mut least = ((u64::from(limit.to_bits()) + 1) << 32, NONE);
     for &corner in surface.stars.of(v) {
         let (f, i) = parts(corner);
         let (face, costs) = (surface.faces[f], surface.costs[f]);
         for (cost, u) in [(costs[i], face[after(i)]), (costs[before(i)], face[before(i)])] {
-            if cost <= least.0 && u != least.1 && free(u) && precedes(v, (cost, u), least) {
-                least = (cost, u);
-            }
+            // Costs are never negative: their bits order as they do. Both ends see the same key.
+            let key = u64::from(cost.to_bits()) << 32 | u64::from(hash(v.min(u), v.max(u)));
+            let key = if free(u) { key } else { u64::MAX };
+            least = if key < least.0 { (key, u) } else { least };
         }
     }
     least.1
 }
 
 /// Whether a collapse keeps the error bound and folds nothing over.
-pub(super) fn admissible<S: Coordinate>(surface: &Surface<S>, a: u32, b: u32, x: DVec3, options: &Options) -> bool {
+pub(super) fn admissible<S: Coordinate>(surface: &Surface<S>, a: u32, b: u32, x: [S; 3], options: &Options) -> bool {
     if options.max_error < f64::INFINITY {
-        let learnt = surface.merged(a, b, x);
+        let learnt = surface.merged(a, b, widen(x));
         if learnt.c > options.max_error * options.max_error * learnt.w {
             return false;
         }
     }
     !surface.folds(&surface.stars, a, b, x)
-}
-
-/// Whether the edge from `v` to `new.1` comes before the one to `old.1`: by cost, then by hash, then by number. Ties are
-/// the rule on flat regions, where all costs are zero: an order by number would let one edge in a row collapse at a time.
-#[inline(always)]
-fn precedes(v: u32, new: (f32, u32), old: (f32, u32)) -> bool {
-    if new.0 != old.0 || old.1 == NONE {
-        return new.0 < old.0 || old.1 == NONE;
-    }
-    order(v, new.1) < order(v, old.1)
 }
 
 /// The order among edges of one cost.

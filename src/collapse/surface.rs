@@ -2,9 +2,9 @@
 
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
-use crate::mesh::{Coordinate, narrow, widen};
+use crate::mesh::{Coordinate, narrow, step, widen};
 use crate::quadric::{PackedQuadric, Quadric};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
 
@@ -180,17 +180,16 @@ impl<S: Coordinate> Surface<S> {
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.
-    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: DVec3) -> bool {
+    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: [S; 3]) -> bool {
         let folds_at = |v: u32, other: u32| {
+            let at = self.positions[v as usize];
             around.of(v).iter().any(|&corner| {
                 let (p, q) = self.ends(corner);
                 if p == other || q == other {
                     return false;
                 }
-                let (p, q) = (self.at(p), self.at(q));
-                let was = (p - self.at(v)).cross(q - self.at(v));
-                let would = (p - x).cross(q - x);
-                turned(was, would)
+                let (p, q) = (self.positions[p as usize], self.positions[q as usize]);
+                turned(step(at, p).cross(step(at, q)), step(x, p).cross(step(x, q)))
             })
         };
         folds_at(a, b) || folds_at(b, a)
@@ -232,9 +231,8 @@ impl<S: Coordinate> Surface<S> {
     #[inline(always)]
     fn cost(&self, a: u32, b: u32, options: &Options) -> f32 {
         let cost = if self.current.is_empty() {
-            let half = 0.5 * (self.at(b) - self.at(a));
-            let q = self.learnt_form(a, b, half);
-            q.c.min(q.value(half)).min(q.value(-half)).max(0.0) as f32
+            let half = (0.5 * (self.at(b) - self.at(a))).as_vec3();
+            least_of_three(&self.learnt[a as usize], &self.learnt[b as usize], half)
         } else {
             self.candidate(&self.stars, a, b, options).cost as f32
         };
@@ -268,13 +266,13 @@ impl<S: Coordinate> Surface<S> {
     }
 }
 
-/// Whether a normal has turned further than a face may.
+/// Whether a normal has turned further than a face may. Squares of small areas need the range of doubles.
 #[inline(always)]
-pub(super) fn turned(was: DVec3, would: DVec3) -> bool {
+pub(super) fn turned(was: Vec3, would: Vec3) -> bool {
+    let (was, would) = (was.as_dvec3(), would.as_dvec3());
     let dot = was.dot(would);
-    let both = was.length_squared() * would.length_squared();
-    both > 0.0 && (dot <= 0.0 || dot * dot < LEAST_COSINE * LEAST_COSINE * both)
-        || was != DVec3::ZERO && would == DVec3::ZERO
+    let (was_sq, would_sq) = (was.length_squared(), would.length_squared());
+    was_sq > 0.0 && (dot <= 0.0 || dot * dot < LEAST_COSINE * LEAST_COSINE * was_sq * would_sq)
 }
 
 /// The area-weighted quadric of a face about one of its vertices, from `normal` = 2·area·n.
@@ -316,6 +314,26 @@ fn subtract(q: &mut Quadric, o: &Quadric) {
         *x -= y;
     }
     q.w -= o.w;
+}
+
+/// The least value of a sum of quadrics at the middle between their origins and at both of them, `half` away. In single
+/// precision, like the quadrics: it only ranks.
+#[inline(always)]
+fn least_of_three(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
+    let product = |a: &[f32; 6], x: Vec3| {
+        Vec3::new(
+            a[0] * x.x + a[1] * x.y + a[2] * x.z,
+            a[1] * x.x + a[3] * x.y + a[4] * x.z,
+            a[2] * x.x + a[4] * x.y + a[5] * x.z,
+        )
+    };
+    // p at its own origin is c, in the middle c + 2b·h + hᵀAh, at q's origin c + 4b·h + 4hᵀAh; q likewise towards −h.
+    let (pb, qb) = (2.0 * Vec3::from(p.b).dot(half), -2.0 * Vec3::from(q.b).dot(half));
+    let (pa, qa) = (product(&p.a, half).dot(half), product(&q.a, half).dot(half));
+    let middle = pb + qb + pa + qa;
+    let at_p = 2.0 * qb + 4.0 * qa;
+    let at_q = 2.0 * pb + 4.0 * pa;
+    (p.c + q.c + middle.min(at_p).min(at_q)).max(0.0)
 }
 
 /// Optimal placement with its fallbacks, about the middle of the edge (thesis §3.5).

@@ -137,7 +137,7 @@ impl<S: Coordinate> Tail<'_, S> {
         let spot = s.spot(a, b, candidate.step);
         let merged = s.merged(a, b, widen(spot));
         let error_sq = if merged.w > 0.0 { merged.c / merged.w } else { 0.0 };
-        if !may_fold && s.folds(&self.overlay, a, b, widen(spot)) {
+        if !may_fold && s.folds(&self.overlay, a, b, spot) {
             return false;
         }
         self.error_sq = self.error_sq.max(error_sq);

@@ -15,6 +15,8 @@ pub trait Coordinate: Copy + Send + Sync + PartialEq + std::fmt::Debug + bytemuc
     fn widen(self) -> f64;
     /// Rounds to the nearest.
     fn narrow(x: f64) -> Self;
+    /// A difference, in single precision: what is near in doubles is told apart before it is rounded.
+    fn minus(self, other: Self) -> f32;
 }
 
 impl Coordinate for f32 {
@@ -27,6 +29,10 @@ impl Coordinate for f32 {
     fn narrow(x: f64) -> Self {
         x as f32
     }
+    #[inline(always)]
+    fn minus(self, other: Self) -> f32 {
+        self - other
+    }
 }
 
 impl Coordinate for f64 {
@@ -38,6 +44,10 @@ impl Coordinate for f64 {
     #[inline(always)]
     fn narrow(x: f64) -> Self {
         x
+    }
+    #[inline(always)]
+    fn minus(self, other: Self) -> f32 {
+        (self - other) as f32
     }
 }
 

@@ -1,7 +1,7 @@
 //! An indexed triangle mesh.
 
 use super::Coordinate;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 /// Positions and triangles. What a stage takes from the one before it and gives to the one after.
 ///
@@ -32,4 +32,10 @@ pub fn widen<S: Coordinate>(p: [S; 3]) -> DVec3 {
 #[inline(always)]
 pub fn narrow<S: Coordinate>(p: DVec3) -> [S; 3] {
     [S::narrow(p.x), S::narrow(p.y), S::narrow(p.z)]
+}
+
+/// From one stored position to another, in single precision.
+#[inline(always)]
+pub fn step<S: Coordinate>(from: [S; 3], to: [S; 3]) -> Vec3 {
+    Vec3::new(to[0].minus(from[0]), to[1].minus(from[1]), to[2].minus(from[2]))
 }

@@ -6,6 +6,6 @@ mod indexed;
 mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
-pub use indexed::{IndexedMesh, narrow, widen};
+pub use indexed::{IndexedMesh, narrow, step, widen};
 pub(crate) use weld::{BATCH, PositionTable};
 pub use weld::{WeldReport, weld};
