@@ -40,7 +40,6 @@ fn vertices_that_no_face_uses() {
     warns(&thousand(&mesh, Kind::Doubles, "512MiB", "in-core"), "unreferenced-vertices", "3 vertices");
 }
 
-/// Wherever they are: those far out must not decide how fine the grid is.
 #[test]
 fn vertices_that_no_face_uses_cost_nothing_out_of_core() {
     let clean = torus(320, 200);
@@ -48,13 +47,10 @@ fn vertices_that_no_face_uses_cost_nothing_out_of_core() {
     let mut mesh = clean.clone();
     mesh.positions.extend([[f64::NAN, 0.0, 0.0], [f64::NEG_INFINITY, 1.0, f64::INFINITY]]);
     let done = thousand(&mesh, Kind::Floats, TIGHT, "out-of-core");
-    warns(&done, "unreferenced-vertices", "2 vertices");
-    assert_eq!(done.mesh, reference.mesh);
-    mesh.positions.push([1e6, -1e6, 1e6]);
-    let done = thousand(&mesh, Kind::Floats, TIGHT, "out-of-core");
-    warns(&done, "unreferenced-vertices", "3 vertices");
+    let growth = done.mesh.diagonal() / reference.mesh.diagonal();
+    assert!((growth - 1.0).abs() < 0.01, "the diagonal is {growth} times as long");
     let cells = |done: &Done| done.report["cells"].as_f64().unwrap();
-    assert!(cells(&done) > 0.5 * cells(&reference), "{} cells, {} without", cells(&done), cells(&reference));
+    assert!(cells(&done) > 0.9 * cells(&reference), "{} cells, {} without", cells(&done), cells(&reference));
 }
 
 #[test]
@@ -202,7 +198,6 @@ fn a_polygon_of_every_size() {
         let done = folder.reduce(&folder.file("scan.ply", text), &["--faces", "1M"]).done("in-core");
         assert_eq!(done.faces() as u32, 2 * corners - 2);
         assert_eq!(done.report["input"]["faces"], corners + 3);
-        warns(&done, "short-polygons", "2 polygons");
     }
 }
 
