@@ -75,7 +75,10 @@ impl Run<'_> {
         seconds.collapse = clock.lap();
 
         let mut warnings = self.warnings(asked, &source, faces);
-        warnings.extend(irregular(&irregularities));
+        // What is irregular in the mesh that clustering made says nothing of the scan.
+        if matches!(source, Source::Loaded(_)) {
+            warnings.extend(irregular(&irregularities));
+        }
         if S::DOUBLE && out.loses_doubles() {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
@@ -150,6 +153,9 @@ impl Run<'_> {
             self.progress.begin(Stage::Cluster, 0);
             let scratch = Scratch::in_folder(self.job.scratch_folder());
             let clustered = cluster::<S>(self.scan, &crew, &scratch, &options)?;
+            if clustered.stats.repeated_corner_faces == self.scan.triangle_count() {
+                return Err(Error::input(self.scan.path(), "has no usable face: none has three distinct corners"));
+            }
             let faces = clustered.mesh.faces.len() as u64;
             let enough = asked.unwrap_or(0);
             if faces < enough && cells < most_cells {

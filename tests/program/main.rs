@@ -1,0 +1,16 @@
+//! The whole program, as its users run it: what it promises of results, memory and bytes, and what it does with bad input.
+
+mod bad_input;
+mod borders;
+mod counts;
+mod determinism;
+mod interrupt;
+mod job;
+mod memory;
+mod models;
+mod oddities;
+mod precision;
+mod support;
+
+/// A budget in which scans of 100,000 faces and more go out of core.
+const TIGHT: &str = "20MiB";

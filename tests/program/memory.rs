@@ -1,0 +1,72 @@
+//! The budget bounds the whole process; one that is too small is refused with one that works.
+
+use crate::support::{Folder, Kind, torus};
+use std::path::{Path, PathBuf};
+
+/// The same 120,000 faces in every form, and a scan of 600,000.
+fn scans(folder: &Folder) -> Vec<PathBuf> {
+    let mesh = torus(300, 200);
+    let shuffled = mesh.clone().with_shuffled_faces();
+    let both = shuffled.clone().with_shuffled_vertices();
+    let mut scans: Vec<PathBuf> =
+        [Kind::Floats, Kind::Doubles, Kind::Stl].map(|kind| folder.scan(&format!("{kind:?}"), &mesh, kind)).into();
+    scans.push(folder.scan("text", &mesh, Kind::Text));
+    scans.push(folder.scan("shuffled", &shuffled, Kind::Floats));
+    scans.push(folder.scan("vertices too", &both, Kind::Floats));
+    scans.push(folder.scan("vertices too, wide", &both, Kind::Doubles));
+    scans.push(folder.synth("large.ply", "600k"));
+    scans.push(folder.synth("large.stl", "600k"));
+    scans
+}
+
+#[test]
+fn budgets_are_kept_by_every_input_and_number_of_threads() {
+    let folder = Folder::new();
+    for scan in scans(&folder) {
+        for memory in ["20MiB", "32MiB", "64MiB", "128MiB"] {
+            for threads in ["1", "8"] {
+                within(&folder, &scan, memory, threads);
+            }
+        }
+    }
+}
+
+fn within(folder: &Folder, scan: &Path, memory: &str, threads: &str) {
+    let outcome = folder.reduce(scan, &["--faces", "2000", "--memory", memory, "--threads", threads]);
+    assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
+    let bytes = |key: &str| outcome.object[key].as_u64().unwrap();
+    let (peak, budget) = (bytes("peak_rss_bytes"), bytes("memory_budget_bytes"));
+    assert!(peak <= budget, "{scan:?} within {memory}, {threads} threads: {peak} resident");
+    let vertices = outcome.object["input"]["vertices"].as_u64().unwrap();
+    if scan.extension().is_some_and(|e| e == "ply") && !scan.to_str().unwrap().contains(['s', 'v']) {
+        assert!(bytes("scratch_bytes") <= 8 * vertices + (1 << 16), "{scan:?} within {memory}");
+    }
+}
+
+#[test]
+fn a_budget_that_is_too_small_is_refused_with_one_that_works() {
+    let folder = Folder::new();
+    for scan in scans(&folder) {
+        for faces in ["0", "30k", "1M"] {
+            for memory in ["1", "16MiB", "32MiB"] {
+                refused_or_done(&folder, &scan, faces, memory);
+            }
+        }
+        assert!(!folder.names().iter().any(|name| name.starts_with('.')));
+    }
+}
+
+fn refused_or_done(folder: &Folder, scan: &Path, faces: &str, memory: &str) {
+    let reduce = |memory: &str| folder.reduce(scan, &["--faces", faces, "--memory", memory]);
+    let refusal = reduce(memory);
+    if refusal.code == Some(0) {
+        return;
+    }
+    let message = refusal.failed(2);
+    assert_eq!(refusal.object["error"]["code"], "budget");
+    let named = message.split("--memory ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
+    let outcome = reduce(named);
+    assert_eq!(outcome.code, Some(0), "{scan:?} to {faces}: {named} was named, but {}", outcome.stderr);
+    let bytes = |key: &str| outcome.object[key].as_u64().unwrap();
+    assert!(bytes("peak_rss_bytes") <= bytes("memory_budget_bytes"), "{scan:?} to {faces} within {named}");
+}

@@ -1,0 +1,111 @@
+//! Scale and position: what is exact stays exact, and nothing depends on the units.
+
+use crate::TIGHT;
+use crate::support::{Done, Folder, Kind, Mesh, as_float, field, torus};
+
+const MODES: [(&str, &str); 2] = [("512MiB", "in-core"), (TIGHT, "out-of-core")];
+
+fn reduced(mesh: &Mesh, kind: Kind, memory: &str, mode: &str) -> Done {
+    let folder = Folder::new();
+    let scan = folder.scan("scan", mesh, kind);
+    folder.reduce(&scan, &["--faces", "1500", "--memory", memory]).done(mode)
+}
+
+#[test]
+fn a_power_of_two_scales_the_result_exactly() {
+    let mesh = torus(300, 180);
+    for kind in [Kind::Floats, Kind::Doubles, Kind::Stl] {
+        for (memory, mode) in MODES {
+            let one = reduced(&mesh, kind, memory, mode);
+            for exponent in [-20, 20, -1, 3] {
+                let scale = 2f64.powi(exponent);
+                let other = reduced(&mesh.clone().scaled(scale), kind, memory, mode);
+                assert!(other.mesh == one.mesh.clone().scaled(scale), "{kind:?} {mode} 2^{exponent}");
+                let estimate = |done: &Done| done.report["error_estimate"].as_f64().unwrap();
+                let ratio = estimate(&other) / (scale * estimate(&one));
+                assert!(
+                    (ratio - 1.0).abs() < 1e-12,
+                    "{kind:?} {mode} 2^{exponent}: estimate is {ratio} times as large"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn any_other_scale_gives_the_same_count_and_error() {
+    let mesh = torus(300, 180);
+    for (memory, mode) in MODES {
+        let one = reduced(&mesh, Kind::Floats, memory, mode);
+        for scale in [1e-12, 1e-6, 0.25, 1e6] {
+            let other = reduced(&mesh.clone().scaled(scale), Kind::Floats, memory, mode);
+            assert_eq!(other.faces(), one.faces(), "{mode} {scale}");
+            let relative = |done: &Done| done.report["error_estimate"].as_f64().unwrap() / done.mesh.diagonal();
+            let ratio = relative(&other) / relative(&one);
+            assert!((0.5..2.0).contains(&ratio), "{mode} {scale}: estimate is {ratio} times as large");
+            let growth = other.mesh.diagonal() / one.mesh.diagonal() / scale;
+            assert!((growth - 1.0).abs() < 1e-3, "{mode} {scale}: {growth}");
+        }
+    }
+}
+
+#[test]
+fn coordinates_far_from_the_origin_are_reduced_where_they_are() {
+    // At 1e7 floats are whole numbers: the field's grid is exact, its heights are steps.
+    for (memory, mode) in MODES {
+        let mesh = field(300, 180).map(|[x, y, z]| [x + 1e7, y - 1e7, as_float(z)]);
+        let done = reduced(&mesh, Kind::Floats, memory, mode);
+        let (scan, result) = (mesh.extent(), done.mesh.extent());
+        for axis in 0..3 {
+            assert!((scan[0][axis] - result[0][axis]).abs() < 3.0, "{mode}: {scan:?} {result:?}");
+            assert!((scan[1][axis] - result[1][axis]).abs() < 3.0, "{mode}: {scan:?} {result:?}");
+        }
+    }
+}
+
+/// A survey in metres, in doubles, where surveys lie; its digits are not those of floats.
+fn survey(columns: u32, rows: u32) -> Mesh {
+    let [east, north, up] = [500_000.123_456_789, 4_500_000.987_654_321, 412.000_000_1];
+    field(columns, rows).map(|[x, y, z]| [east + 0.013 * x, north + 0.017 * y, up + 0.011 * z])
+}
+
+#[test]
+fn doubles_come_out_bit_for_bit() {
+    let folder = Folder::new();
+    let mesh = survey(40, 30);
+    let scan = folder.scan("scan", &mesh, Kind::Doubles);
+    let done = folder.reduce(&scan, &["--faces", "1M"]).done("in-core");
+    assert!(done.mesh == mesh);
+}
+
+#[test]
+fn a_georeferenced_scan_keeps_its_precision() {
+    // The survey, and the same about the origin: what the offset costs is what a double cannot hold there.
+    for (memory, mode) in MODES {
+        let mesh = survey(300, 180);
+        let origin = mesh.positions[0];
+        let local = mesh.clone().map(|p| std::array::from_fn(|axis| p[axis] - origin[axis]));
+        let there = reduced(&mesh, Kind::Doubles, memory, mode);
+        let here = reduced(&local, Kind::Doubles, memory, mode);
+        let estimate = |done: &Done| done.report["error_estimate"].as_f64().unwrap();
+        let ratio = estimate(&there) / estimate(&here);
+        assert!((0.8..1.25).contains(&ratio), "{mode}: estimate is {ratio} times as large");
+        let vertices = there.mesh.positions.len() as f64;
+        let finer = there.mesh.positions.iter().filter(|p| p.iter().any(|x| as_float(*x) != *x)).count() as f64;
+        assert!(finer > 0.9 * vertices, "{mode}: {finer} of {vertices} vertices need doubles");
+        let [low, high] = there.mesh.extent();
+        let [least, largest] = mesh.extent();
+        for axis in 0..2 {
+            assert!((low[axis] - least[axis]).abs() < 0.01 && (high[axis] - largest[axis]).abs() < 0.01, "{mode}");
+        }
+    }
+}
+
+#[test]
+fn writing_doubles_as_stl_is_said() {
+    let folder = Folder::new();
+    let scan = folder.scan("scan", &survey(40, 30), Kind::Doubles);
+    let outcome = folder.reduce_to("out.stl", &scan, &["--faces", "100"]);
+    assert_eq!(outcome.code, Some(0));
+    assert_eq!(outcome.object["warnings"][0]["code"], "stl-loses-doubles");
+}
