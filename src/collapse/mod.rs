@@ -158,9 +158,7 @@ fn prepare<S: Coordinate>(
     };
     let irregularities = classify::classify(&surface);
     if surface.learnt.is_empty() {
-        let s = &surface;
-        let form = |v| s.form_around(&s.stars, v, options).pack();
-        surface.learnt = (0..n as u32).into_par_iter().with_min_len(1024).map(form).collect();
+        surface.learn(options);
     }
     (surface, irregularities)
 }
@@ -252,8 +250,11 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
     }
 }
 
-/// The cost of the `rank`-th cheapest edge, to 1 %.
+/// The cost of the `rank`-th cheapest edge, to 1 %; no limit where there cannot be so many.
 fn limit<S: Coordinate>(surface: &Surface<S>, rank: u64) -> f32 {
+    if rank >= 3 * surface.positions.len() as u64 {
+        return f32::from_bits(REFUSED.to_bits() - 1);
+    }
     const SHIFT: u32 = 16;
     const BUCKETS: usize = 1 << (31 - SHIFT);
     let count = |mut counts: Vec<u32>, costs: &[f32; 3]| {

@@ -165,18 +165,51 @@ impl<S: Coordinate> Surface<S> {
             let (p, s) = self.ends(corner);
             q += plane_through((self.at(p) - at).cross(self.at(s) - at));
         }
-        if self.odd(v) {
-            for &corner in star {
-                let (p, s) = self.ends(corner);
-                for u in [p, s] {
-                    let faces = star.iter().map(|&c| self.ends(c)).filter(|&(p, s)| p == u || s == u).count();
-                    if faces == 1 {
-                        q += border_line(self.at(u) - at, options.boundary_weight);
-                    }
+        if self.odd(v) { q + self.borders_at(around, v, options) } else { q }
+    }
+
+    /// The lines of the border edges at `v`.
+    fn borders_at(&self, around: &impl Around, v: u32, options: &Options) -> Quadric {
+        let star = around.of(v);
+        let mut q = Quadric::default();
+        for &corner in star {
+            let (p, s) = self.ends(corner);
+            for u in [p, s] {
+                let faces = star.iter().map(|&c| self.ends(c)).filter(|&(p, s)| p == u || s == u).count();
+                if faces == 1 {
+                    q += border_line(self.at(u) - self.at(v), options.boundary_weight);
                 }
             }
         }
         q
+    }
+
+    /// Learns the planes of the faces and the borders. Each face's plane is worked out once, as the vector whose product
+    /// with itself is its quadric, in the array that will hold its costs.
+    pub fn learn(&mut self, options: &Options) {
+        let mut roots = std::mem::take(&mut self.costs);
+        let this = &*self;
+        this.faces.par_iter().zip(&mut roots).with_min_len(1024).for_each(|(face, root)| {
+            let [a, b, c] = face.map(|v| this.at(v));
+            let normal = (b - a).cross(c - a);
+            let length = normal.length();
+            let scaled = if length > 0.0 { normal * (0.5 / length).sqrt() } else { DVec3::ZERO };
+            *root = scaled.as_vec3().to_array();
+        });
+        let learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(|v| {
+            let mut q = if this.odd(v) { this.borders_at(&this.stars, v, options) } else { Quadric::default() };
+            for &corner in this.stars.of(v) {
+                let m = roots[parts(corner).0].map(f64::from);
+                q += Quadric {
+                    a: [m[0] * m[0], m[0] * m[1], m[0] * m[2], m[1] * m[1], m[1] * m[2], m[2] * m[2]],
+                    w: m[0] * m[0] + m[1] * m[1] + m[2] * m[2],
+                    ..Default::default()
+                };
+            }
+            q.pack()
+        });
+        self.learnt = learnt.collect();
+        self.costs = roots;
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.
