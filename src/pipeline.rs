@@ -14,10 +14,13 @@ use crate::scratch::Scratch;
 use crate::write;
 use std::time::Instant;
 
+/// Threads that are started at most: more than any machine that this is for has cores, and few enough for their stacks.
+const MOST_THREADS: usize = 64;
+
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(job.threads)
+        .num_threads(job.threads.min(MOST_THREADS))
         .build()
         .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", job.threads)))?;
     pool.install(|| {

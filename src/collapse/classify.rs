@@ -3,6 +3,7 @@
 use super::surface::{ODD, Surface};
 use crate::mesh::Coordinate;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 use std::sync::atomic::Ordering::Relaxed;
 
 /// Counts of what is not regular.
@@ -38,8 +39,8 @@ pub(super) fn classify<S: Coordinate>(surface: &Surface<S>) -> Irregularities {
             if is_regular(ends) {
                 return Irregularities::default();
             }
-            let found = irregularities(v, ends);
-            if found.nonmanifold_vertices == 0 {
+            let (odd, found) = irregularities(v, ends);
+            if odd {
                 surface.marks[v as usize].fetch_or(ODD, Relaxed);
             }
             found
@@ -51,6 +52,10 @@ pub(super) fn classify<S: Coordinate>(surface: &Surface<S>) -> Irregularities {
 #[inline(always)]
 fn is_regular(ends: &[(u32, u32)]) -> bool {
     let Some(&(start, mut u)) = ends.first() else { return true };
+    // The walk is quadratic: large stars are sorted instead.
+    if ends.len() > 64 {
+        return false;
+    }
     let mut fan = 1;
     while u != start {
         let mut next = None;
@@ -72,27 +77,38 @@ fn is_regular(ends: &[(u32, u32)]) -> bool {
     fan == ends.len()
 }
 
-/// What is irregular at `v`; each edge is counted at its lower end.
-fn irregularities(v: u32, ends: &[(u32, u32)]) -> Irregularities {
+/// Whether `v` is on an odd edge, and what is irregular there; each edge is counted at its lower end.
+fn irregularities(v: u32, ends: &[(u32, u32)]) -> (bool, Irregularities) {
+    let mut sides: Vec<(u32, bool)> = ends.iter().flat_map(|&(out, back)| [(out, true), (back, false)]).collect();
+    sides.sort_unstable();
     let mut found = Irregularities::default();
     let mut odd = false;
-    for (i, e) in ends.iter().enumerate() {
-        for u in [e.0, e.1] {
-            let out = ends.iter().filter(|e| e.0 == u).count();
-            let back = ends.iter().filter(|e| e.1 == u).count();
-            if (out, back) == (1, 1) {
-                continue;
-            }
-            odd = true;
-            if v < u && !ends[..i].iter().any(|e| e.0 == u || e.1 == u) {
-                if out + back == 1 {
-                    found.border_edges += 1;
-                } else {
-                    found.nonmanifold_edges += 1;
-                }
+    for edge in sides.chunk_by(|a, b| a.0 == b.0) {
+        if let [(_, false), (_, true)] = edge {
+            continue;
+        }
+        odd = true;
+        if v < edge[0].0 {
+            if edge.len() == 1 {
+                found.border_edges += 1;
+            } else {
+                found.nonmanifold_edges += 1;
             }
         }
     }
-    found.nonmanifold_vertices = u64::from(!odd);
-    found
+    found.nonmanifold_vertices = u64::from(!odd && fan_length(ends) < ends.len());
+    (odd, found)
+}
+
+/// How many of a vertex's faces the fan of the first has. All edges are regular.
+fn fan_length(ends: &[(u32, u32)]) -> usize {
+    let turns: FxHashMap<u32, u32> = ends.iter().copied().collect();
+    let Some(&(start, mut u)) = ends.first() else { return 0 };
+    let mut faces = 1;
+    while u != start && faces <= ends.len() {
+        let Some(&next) = turns.get(&u) else { break };
+        u = next;
+        faces += 1;
+    }
+    faces
 }

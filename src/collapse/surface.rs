@@ -168,17 +168,14 @@ impl<S: Coordinate> Surface<S> {
         if self.odd(v) { q + self.borders_at(around, v, options) } else { q }
     }
 
-    /// The lines of the border edges at `v`.
+    /// The lines of the border edges at `v`: to neighbours that only one of its faces has.
     fn borders_at(&self, around: &impl Around, v: u32, options: &Options) -> Quadric {
-        let star = around.of(v);
+        let mut neighbours: Vec<u32> = around.of(v).iter().map(|&c| self.ends(c)).flat_map(|(p, s)| [p, s]).collect();
+        neighbours.sort_unstable();
         let mut q = Quadric::default();
-        for &corner in star {
-            let (p, s) = self.ends(corner);
-            for u in [p, s] {
-                let faces = star.iter().map(|&c| self.ends(c)).filter(|&(p, s)| p == u || s == u).count();
-                if faces == 1 {
-                    q += border_line(self.at(u) - self.at(v), options.boundary_weight);
-                }
+        for same in neighbours.chunk_by(|a, b| a == b) {
+            if let [u] = same {
+                q += border_line(self.at(*u) - self.at(v), options.boundary_weight);
             }
         }
         q

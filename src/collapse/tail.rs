@@ -37,24 +37,37 @@ pub(super) struct End {
     pub folded: bool,
 }
 
+/// What is done when nothing else is left.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Need {
+    /// Nothing yet: no face folds over, and no edge of three and more faces takes the count further than one below the
+    /// target, which is as far as those of manifolds go.
+    None,
+    /// A few faces may fold over, and the count may end two below.
+    Fold,
+    /// The count may end anywhere below: many copies of one face go together.
+    Overshoot,
+}
+
 /// Collapses until at most `options.target` faces are left.
 pub(super) fn finish<S: Coordinate>(surface: &mut Surface<S>, options: &Options, progress: &Progress) -> Result<End> {
     let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
     let left = surface.faces.len();
     let mut tail = Tail { left, surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, options };
-    // Collapses that may fold faces over: none, until nothing else is left; then a few, and the rest is tried again.
-    let mut may_fold = 0;
+    let mut need = Need::None;
     let mut folded = false;
     while tail.left > options.target {
         let before = tail.left;
         tail.fill_heap();
-        tail.drain(may_fold, progress)?;
+        tail.drain(need, progress)?;
         let advanced = tail.left < before;
-        folded |= may_fold > 0 && advanced;
-        if !advanced && may_fold > 0 {
-            break;
-        }
-        may_fold = if advanced { 0 } else { 1 + (tail.left - options.target) / 32 };
+        folded |= need >= Need::Fold && advanced;
+        need = match need {
+            _ if advanced => Need::None,
+            Need::None => Need::Fold,
+            Need::Fold => Need::Overshoot,
+            Need::Overshoot => break,
+        };
     }
     let error_sq = tail.error_sq;
     compact(surface);
@@ -97,8 +110,9 @@ impl<S: Coordinate> Tail<'_, S> {
         !self.overlay.of(v).is_empty()
     }
 
-    /// Collapses from the heap until it is empty or the count is reached, or `may_fold` (if not zero) collapses are done.
-    fn drain(&mut self, may_fold: usize, progress: &Progress) -> Result<()> {
+    /// Collapses from the heap until it is empty or the count is reached; under need, only a few times.
+    fn drain(&mut self, need: Need, progress: &Progress) -> Result<()> {
+        let most = if need == Need::None { usize::MAX } else { 1 + (self.left - self.options.target) / 32 };
         let mut done = 0;
         let mut turns = 0u32;
         while self.left > self.options.target {
@@ -116,14 +130,12 @@ impl<S: Coordinate> Tail<'_, S> {
                 self.heap.push(now);
                 continue;
             }
-            // An edge of a manifold has one or two faces: the count falls to the target or one below it. Edges of more
-            // faces may not take it further, unless nothing else is left.
-            let below = if may_fold > 0 { 2 } else { 1 };
-            if shared > 2 && self.left - shared + below < self.options.target {
+            let below = [1, 2, usize::MAX][need as usize];
+            if shared > 2 && (self.left + below.min(shared)) < self.options.target + shared {
                 continue;
             }
-            done += usize::from(self.collapse(a, b, may_fold > 0));
-            if may_fold > 0 && done >= may_fold {
+            done += usize::from(self.collapse(a, b, need >= Need::Fold));
+            if done >= most {
                 return Ok(());
             }
         }
