@@ -5,7 +5,7 @@ use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::Job;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
-use crate::plan::{LEAST_RATIO, Plan, Purse};
+use crate::plan::{LEAST_RATIO, Plan, Purse, in_core_budget};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
@@ -167,9 +167,10 @@ impl Run<'_> {
                 continue;
             }
             if faces < enough {
+                let path = self.scan.path().display();
                 let what =
-                    format!("clustering within the budget leaves {faces} faces, fewer than the {enough} asked for");
-                return Err(Error::Unmet { file: self.job.input.clone(), what });
+                    format!("{path}: clustered within this budget, {faces} faces are left of the {enough} asked for");
+                return Err(Error::Budget { what, needed_bytes: in_core_budget::<S>(self.scan) });
             }
             return Ok(Intermediate {
                 mesh: clustered.mesh,

@@ -106,8 +106,7 @@ impl Purse {
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
             let out_of_core = bytes_for::<S>(least_cells);
-            let in_core = load_peak_bytes(scan).max(in_core_bytes::<S>(scan));
-            let needed_bytes = total_for(out_of_core.min(in_core));
+            let needed_bytes = total_for(out_of_core).min(in_core_budget::<S>(scan));
             let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
             let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
             return Err(Error::Budget { what, needed_bytes });
@@ -157,12 +156,9 @@ fn bytes_for<S: Coordinate>(cells: usize) -> u64 {
     collapse.max(sums)
 }
 
-fn in_core_bytes<S: Coordinate>(scan: &Scan) -> u64 {
-    let vertices = match scan.layout() {
-        Layout::Indexed => scan.vertex_count(),
-        Layout::Soup => scan.triangle_count().div_ceil(2),
-    };
-    collapse::bytes::<S>(scan.triangle_count(), vertices)
+/// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
+pub fn in_core_budget<S: Coordinate>(scan: &Scan) -> u64 {
+    total_for(load_peak_bytes(scan).max(collapse::bytes::<S>(scan.triangle_count(), scan.vertex_count())))
 }
 
 /// The least budget whose arrays have that many bytes, in whole mebibytes.

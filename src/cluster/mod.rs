@@ -154,6 +154,7 @@ pub fn cluster<S: Coordinate>(
     options: &ClusterOptions,
 ) -> Result<Clustered<S>> {
     let extent = extent(scan, crew)?;
+    extent.check(scan.path())?;
     let frame = Frame::of(&extent);
     let sample = scan.sample(crew, SAMPLE)?;
     let coherent = sample.blocks_per_triangle < COHERENT;

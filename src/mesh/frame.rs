@@ -5,7 +5,9 @@
 //! gives the same mesh, scaled. Nothing is translated: a position keeps the bits it came with (an offset of 500 km in
 //! doubles survives), and arithmetic is done in `f64` on differences.
 
+use crate::error::{Error, Result};
 use glam::DVec3;
+use std::path::Path;
 
 /// The scalar that positions are stored in: the file's own, `f32` or `f64`.
 pub trait Coordinate: Copy + Send + Sync + PartialEq + std::fmt::Debug + bytemuck::Pod {
@@ -127,6 +129,15 @@ impl Extent {
     /// Side lengths; zero when nothing was included.
     pub fn size(&self) -> DVec3 {
         (self.max - self.min).max(DVec3::ZERO)
+    }
+
+    /// Refuses a box whose sides no double can hold.
+    pub fn check(&self, file: &Path) -> Result<()> {
+        if self.size().is_finite() {
+            return Ok(());
+        }
+        let (min, max) = (self.min, self.max);
+        Err(Error::input(file, format!("coordinates from {min} to {max}, expected an extent that a double can hold")))
     }
 
     /// Length of the diagonal.

@@ -112,6 +112,7 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) ->
         return Ok(None);
     }
     let Welder { mut mesh, repeated_corner_faces, extent, .. } = welder;
+    extent.check(scan.path())?;
     let referenced = Bits::of_corners(&mesh);
     let unreferenced_vertices = drop_unreferenced(&mut mesh, &referenced);
     let frame = Frame::of(&extent);
@@ -145,6 +146,7 @@ fn extent_of<S: Coordinate>(scan: &Scan, mesh: &IndexedMesh<S>, referenced: &Bit
         }
         extent.include(p);
     }
+    extent.check(scan.path())?;
     Ok(extent)
 }
 

@@ -36,9 +36,9 @@ fn every_model_gives_the_count_and_keeps_its_extent() {
             let least = asked - if irregular { 2 } else { 1 };
             assert!((least..=asked).contains(&done.faces()), "{model:?} {ratio}: {} of {asked}", done.faces());
             let growth = done.mesh.diagonal() / scan.mesh.diagonal();
-            // The noise of a noisy cube (σ = 0.03 on sides of 2) stands out by 9 % of the diagonal; a few faces smooth it away.
-            let noise = if model.ends_with("noisy_cube_03.ply") { 0.1 } else { 0.05 };
-            assert!((growth - 1.0).abs() < noise, "{model:?} {ratio}: the diagonal is {growth} times as long");
+            // A few faces stand outside a curved surface, and inside the noise of a noisy one.
+            let most = if done.faces() < 200 { 0.15 } else { 0.05 };
+            assert!((growth - 1.0).abs() < most, "{model:?} {ratio}: the diagonal is {growth} times as long");
         }
     }
 }
