@@ -16,7 +16,7 @@
 //! |---|--:|--:|--:|--:|
 //! | learnt quadrics all the way | 1.14 | 0.92 | 0.93 | 1.28 |
 //! | current quadrics for the last factor of ten | 1.66 | 0.48 | 0.48 | 1.20 |
-//! | current plus 0.5 × learnt | 0.62 | 0.51 | 0.51 | 0.79 |
+//! | current plus 0.5 × learnt | 0.72 | 0.51 | 0.52 | 0.88 |
 //!
 //! **Promises.** Input as it comes: borders, non-manifold edges and vertices, coincident and zero-area faces. No face turns
 //! over unless the count cannot be reached otherwise ([`Collapsed::folded`]). The same mesh for any number of threads, since
