@@ -5,7 +5,7 @@ use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::Job;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
-use crate::plan::{LEAST_RATIO, Plan, Purse, in_core_budget};
+use crate::plan::{Cells, LEAST_RATIO, Purse, in_core_budget};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
@@ -19,17 +19,18 @@ const MOST_THREADS: usize = 64;
 
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
+    let threads = job.threads.min(MOST_THREADS);
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(job.threads.min(MOST_THREADS))
+        .num_threads(threads)
         .build()
-        .map_err(|e| Error::usage(format!("cannot start {} threads: {e}", job.threads)))?;
+        .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
     pool.install(|| {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare(&job.output, Some(&job.input))?;
         let scan = Scan::open(&job.input, progress)?;
-        let purse = Purse::new(job.memory.0, job.threads);
-        let run = Run { job, progress, scan: &scan, purse, begun };
+        let purse = Purse::new(job.memory.0, threads);
+        let run = Run { job, threads, progress, scan: &scan, purse, begun };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
@@ -40,6 +41,7 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
 /// One reduction under way.
 struct Run<'a> {
     job: &'a Job,
+    threads: usize,
     progress: &'a Progress,
     scan: &'a Scan,
     purse: Purse,
@@ -106,7 +108,7 @@ impl Run<'_> {
             mode,
             cells,
             ratio,
-            threads: self.job.threads,
+            threads: self.threads,
             memory_budget_bytes: self.job.memory.0,
             peak_rss_bytes: peak_rss_bytes(),
             scratch_bytes,
@@ -118,22 +120,15 @@ impl Run<'_> {
 
     /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
     fn intermediate<S: Coordinate>(&self, asked: Option<u64>) -> Result<Intermediate<S>> {
-        let plan = self.purse.plan::<S>(self.scan, asked)?;
-        let plan = match plan {
-            Plan::InCore { most_vertices } => {
-                self.progress.begin(Stage::Read, self.scan.bytes());
-                let crew = Crew { workers: 1, progress: self.progress };
-                if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
-                    return Ok(Intermediate { mesh, frame, quadrics: None, source: Source::Loaded(report) });
-                }
-                self.purse.out_of_core::<S>(self.scan, asked)?
+        if let Some(most_vertices) = self.purse.in_core::<S>(self.scan) {
+            self.progress.begin(Stage::Read, self.scan.bytes());
+            let crew = Crew { workers: 1, progress: self.progress };
+            if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
+                return Ok(Intermediate { mesh, frame, quadrics: None, source: Source::Loaded(report) });
             }
-            plan => plan,
-        };
-        match plan {
-            Plan::OutOfCore { cells, most_cells } => self.clustered(asked, cells, most_cells),
-            Plan::InCore { .. } => Err(Error::input(self.scan.path(), "has more vertices than three a face")),
         }
+        let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
+        self.clustered(asked, wanted, most)
     }
 
     /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.

@@ -41,21 +41,13 @@ const SURVIVORS_A_CELL: usize = 5;
 /// The fewest cells that are worth clustering into.
 const LEAST_CELLS: usize = 4096;
 
-/// How a scan will be reduced.
+/// Sizes of the cell table, for a scan that does not fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Plan {
-    /// Load, weld, collapse.
-    InCore {
-        /// Distinct vertices for which the collapse still fits. Only a soup can turn out to have more.
-        most_vertices: u64,
-    },
-    /// Cluster, then collapse.
-    OutOfCore {
-        /// Cells that the table has room for.
-        cells: usize,
-        /// The most that the budget has room for.
-        most_cells: usize,
-    },
+pub struct Cells {
+    /// Cells that the table is to have room for.
+    pub wanted: usize,
+    /// The most that the budget has room for.
+    pub most: usize,
 }
 
 /// A budget and the hands that share it.
@@ -79,15 +71,9 @@ impl Purse {
         self.bytes.saturating_sub(BASE_BYTES + aside(self.bytes))
     }
 
-    /// The plan for `scan`, of which `target` faces are asked, or as few as an error bound allows.
-    pub fn plan<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Plan> {
-        match self.in_core::<S>(scan) {
-            Some(plan) => Ok(plan),
-            None => self.out_of_core::<S>(scan, target),
-        }
-    }
-
-    fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<Plan> {
+    /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out
+    /// to have more.
+    pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
         let arrays = self.for_arrays();
         let a_vertex = collapse::bytes::<S>(0, 1);
@@ -97,11 +83,11 @@ impl Purse {
             // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
             Layout::Soup => faces / 2 <= most_vertices,
         };
-        fits.then_some(Plan::InCore { most_vertices })
+        fits.then_some(most_vertices)
     }
 
-    /// The plan for a scan that does not fit.
-    pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Plan> {
+    /// The cells for a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
+    pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Cells> {
         let most_cells = self.most_cells::<S>();
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
@@ -112,7 +98,7 @@ impl Purse {
             return Err(Error::Budget { what, needed_bytes });
         }
         let wanted = target.map_or(most_cells, |n| cells_for(n, AIM)).max(LEAST_CELLS);
-        Ok(Plan::OutOfCore { cells: wanted.min(most_cells), most_cells })
+        Ok(Cells { wanted: wanted.min(most_cells), most: most_cells })
     }
 
     fn most_cells<S: Coordinate>(&self) -> usize {

@@ -6,8 +6,8 @@
 //! among what is left. Each turn is a function of the one before, so threads cannot change it.
 //!
 //! Stars of neighbouring collapses overlap. Each collapse is checked alone against the round's geometry, then all faces
-//! with two or more moving corners are checked with all of them moved; of the collapses at a face that folds over, the
-//! one is taken back (by a hash: any rule that threads cannot change will do), until none folds.
+//! with two or more moving corners are checked with all of them moved; of the collapses at a face that folds over, one is
+//! taken back (by a hash: any rule that threads cannot change will do), until none folds.
 
 use super::Options;
 use super::surface::{Surface, turned};
@@ -228,7 +228,7 @@ impl<S: Coordinate> Batch<S> {
 
 /// The free end of the cheapest edge at `v` of at most `limit`, or [`NONE`]. Ties go by hash: they are the rule on flat
 /// regions, where all costs are zero, and an order by number would let one edge in a row collapse at a time. Without
-/// branches on costs, which no processor can predict: a third faster than with them.
+/// branches on costs, which no processor can predict.
 #[inline(always)]
 fn cheapest<S: Coordinate>(surface: &Surface<S>, v: u32, limit: f32, free: impl Fn(u32) -> bool) -> u32 {
     let mut least = ((u64::from(limit.to_bits()) + 1) << 32, NONE);
