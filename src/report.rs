@@ -93,16 +93,6 @@ pub enum Warning {
         /// Faces dropped.
         faces: u64,
     },
-    /// Polygons of fewer than three corners.
-    ShortPolygons {
-        /// Polygons dropped.
-        faces: u64,
-    },
-    /// Triangles without area though their corners are distinct.
-    ZeroAreaFaces {
-        /// Triangles concerned.
-        faces: u64,
-    },
     /// Vertices that no face uses.
     UnreferencedVertices {
         /// Vertices dropped.
@@ -155,8 +145,6 @@ impl Warning {
         match self {
             Warning::TrailingBytes { .. } => "trailing-bytes",
             Warning::RepeatedCornerFaces { .. } => "repeated-corner-faces",
-            Warning::ShortPolygons { .. } => "short-polygons",
-            Warning::ZeroAreaFaces { .. } => "zero-area-faces",
             Warning::UnreferencedVertices { .. } => "unreferenced-vertices",
             Warning::DuplicateVertices { .. } => "duplicate-vertices",
             Warning::NonManifoldEdges { .. } => "non-manifold-edges",
@@ -179,12 +167,6 @@ impl fmt::Display for Warning {
             ),
             Warning::RepeatedCornerFaces { faces } => {
                 write!(f, "{} with a repeated corner dropped: no surface is lost", count(faces, "face"))
-            }
-            Warning::ShortPolygons { faces } => {
-                write!(f, "{} of fewer than three corners dropped: no surface is lost", count(faces, "polygon"))
-            }
-            Warning::ZeroAreaFaces { faces } => {
-                write!(f, "{} without area taken as they are: collapse removes them first", count(faces, "face"))
             }
             Warning::UnreferencedVertices { vertices } => write!(
                 f,
