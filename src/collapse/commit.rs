@@ -1,56 +1,56 @@
 //! Applying a batch: merge, renumber, compact. Orders are kept, so that numbers stay monotone and locality stays.
 
-use super::select::{Batch, NONE, Pair};
-use super::surface::{MERGED, ODD, Surface, TOUCHED};
+use super::batch::{Batch, NONE};
+use super::surface::{ODD, Surface, TOUCHED};
 use crate::mesh::{Coordinate, widen};
 use crate::quadric::PackedQuadric;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 
 /// A face still uses the vertex.
-const USED: u8 = 8;
+const USED: u8 = 4;
 
-/// Pairs whose merged quadrics are held at a time, 48 bytes each.
+/// Groups whose merged quadrics are held at a time, 64 bytes each.
 const BLOCK: usize = 1 << 16;
 
-/// Performs the collapses of `pairs` (all that `batch` holds). Returns the largest squared error among the merged vertices.
-pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &mut Batch<S>, pairs: &[Pair]) -> f64 {
+/// Performs the collapses of `batch`, whose leaders are given. Returns the largest squared error among the merged vertices.
+pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &mut Batch<S>, leaders: &[u32]) -> f64 {
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
         m.fetch_and(ODD, Relaxed);
     });
-    let error_sq = merge(surface, batch, pairs);
+    let error_sq = merge(surface, batch, leaders);
     rename(surface, batch);
     compact(surface, batch.spare());
     error_sq
 }
 
-fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, pairs: &[Pair]) -> f64 {
+fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u32]) -> f64 {
     let mut error_sq = 0.0f64;
-    for block in pairs.chunks(BLOCK) {
-        let merged: Vec<(PackedQuadric, f64)> = block
+    for block in leaders.chunks(BLOCK) {
+        let this = &*surface;
+        let merged: Vec<(PackedQuadric, u8, f64)> = block
             .par_iter()
             .with_min_len(256)
-            .map(|pair| {
-                let q = surface.merged(pair.stays, pair.goes, widen(batch.spot(pair.stays)));
-                (q.pack(), if q.w > 0.0 { q.c / q.w } else { 0.0 })
+            .map_init(Vec::new, |members, &v| {
+                batch.members(v, members);
+                let q = this.merged(members, widen(batch.spots[v as usize]));
+                let odd = members.iter().any(|&u| this.odd(u));
+                (q.pack(), if odd { ODD } else { 0 }, if q.w > 0.0 { q.c / q.w } else { 0.0 })
             })
             .collect();
-        for (pair, (quadric, error)) in block.iter().zip(merged) {
-            let v = pair.stays as usize;
-            surface.learnt[v] = quadric;
+        for (&v, (quadric, marks, error)) in block.iter().zip(merged) {
+            surface.learnt[v as usize] = quadric;
+            *surface.marks[v as usize].get_mut() = marks;
             error_sq = error_sq.max(error);
         }
     }
-    for pair in pairs {
-        let (v, u) = (pair.stays as usize, pair.goes as usize);
-        surface.positions[v] = batch.spot(pair.stays);
-        let odd = (*surface.marks[v].get_mut() | *surface.marks[u].get_mut()) & ODD;
-        *surface.marks[v].get_mut() = odd | MERGED;
+    for &v in leaders {
+        surface.positions[v as usize] = batch.spots[v as usize];
     }
     error_sq
 }
 
-/// Gives faces their new vertices and marks those that are no more (`NONE`, cost not a number).
+/// Gives faces their new vertices and marks those that are no more, by [`NONE`].
 fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
     let marks = &surface.marks;
     let mark = |v: u32, bits: u8| {
@@ -59,7 +59,7 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
             m.fetch_or(bits, Relaxed);
         }
     };
-    surface.faces.par_iter_mut().zip(&mut surface.costs).with_min_len(4096).for_each(|(face, costs)| {
+    surface.faces.par_iter_mut().with_min_len(4096).for_each(|face| {
         let changed = face.iter().any(|&v| batch.moves(v));
         let now = if changed { face.map(|v| batch.becomes(v)) } else { *face };
         if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
@@ -67,8 +67,7 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
             now.iter().for_each(|&v| mark(v, bits));
             *face = now;
         } else {
-            *face = [NONE; 3];
-            *costs = [f32::NAN; 3];
+            face[0] = NONE;
         }
     });
 }
@@ -83,28 +82,23 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
         kept += u32::from(used);
     }
     let numbers = &*numbers;
+    let mut lives = faces.iter().map(|face| face[0] != NONE);
+    costs.retain(|_| lives.next() == Some(true));
     rayon::join(
         || {
-            rayon::join(
-                || {
-                    faces.retain_mut(|face| {
-                        let lives = face[0] != NONE;
-                        if lives {
-                            *face = face.map(|v| numbers[v as usize].load(Relaxed));
-                        }
-                        lives
-                    })
-                },
-                || {
-                    keep(positions, numbers);
-                    keep_marks(marks, numbers);
-                },
-            )
+            faces.retain_mut(|face| {
+                let lives = face[0] != NONE;
+                if lives {
+                    *face = face.map(|v| numbers[v as usize].load(Relaxed));
+                }
+                lives
+            })
         },
         || {
             keep(learnt, numbers);
             keep(current, numbers);
-            costs.retain(|c| !c[0].is_nan());
+            keep(positions, numbers);
+            keep_marks(marks, numbers);
         },
     );
 }

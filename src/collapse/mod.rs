@@ -1,9 +1,10 @@
 //! Parallel batched edge collapse under quadrics: the reduced mesh in, the small mesh out.
 //!
-//! **The loop** (thesis §3.4, with the batches of §9.2): evaluate the edges whose surroundings changed → limit the round to
-//! the cheaper ones → select a matching → check and take back what folds → commit → compact. A round removes up to 45 % of
-//! the vertices far from the target, up to 35 % near it; the last ones go one at a time from a heap, so that the count is
-//! exact: the target or one below it on manifolds, at most two below elsewhere.
+//! **The loop** (thesis §3.4, with the batches of §9.2): rank the edges → limit the round to the cheaper ones → select a
+//! batch → take back what folds → commit → compact. Far from the target a batch is of groups of up to a dozen vertices and a
+//! round takes three fifths of all; within ten times the target it is a matching, of edges whose costs are kept from
+//! round to round, and takes up to 35 %; the last ones go one at a time from a heap, so that the count is exact: the target
+//! or one below it on manifolds, at most two below elsewhere.
 //!
 //! **The cost.** Every vertex carries what it has *learnt* of the scan: the sum of the area-weighted quadrics of all faces it
 //! stands for (thesis §3.4), from clustering where the scan was clustered. Down to ten times the target, learnt
@@ -25,9 +26,11 @@
 //!
 //! **Memory.** [`bytes`] of arrays: 36 a face and 109 a vertex (133 in doubles); compaction is in place.
 
+mod batch;
 mod classify;
 mod commit;
-mod select;
+mod groups;
+mod pairs;
 mod surface;
 mod tail;
 
@@ -35,13 +38,13 @@ pub use classify::Irregularities;
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
-use crate::mesh::{Coordinate, IndexedMesh};
+use crate::mesh::{Coordinate, IndexedMesh, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
+use batch::{Batch, order};
 use rayon::prelude::*;
-use select::{Batch, Pair, order};
 use std::sync::atomic::AtomicU8;
-use surface::{MERGED, REFUSED, Surface, TOUCHED};
+use surface::{REFUSED, Surface, TOUCHED};
 
 /// What steers the collapse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,30 +81,37 @@ const LAST_FACTOR: usize = 10;
 /// faces against 0.72), 1 costs 10 % on smooth ones (femur).
 const LEARNT_WEIGHT: f64 = 0.5;
 
-/// How far one round goes.
+/// How far one round of groups goes.
 #[derive(Clone, Copy)]
-struct Pace {
-    /// Vertices that a round may remove, as a share.
+struct Stride {
+    /// Vertices that may move, those with the cheapest edges first, as a share. Without any limit rounds would thin a finely
+    /// and a coarsely meshed part alike, and a scan of uneven density would lose its coarse part.
     share: f64,
-    /// The edges that a round may choose from, as a multiple of the collapses it wants, from the cheapest up. There are
-    /// three times as many edges as vertices.
-    slack: f64,
+    /// Steps from a vertex to the pair that it follows.
+    longest: usize,
 }
 
-/// Far from the target the order matters less. Without any limit, though, rounds thin a finely and a coarsely meshed part
-/// alike, and a scan of uneven density loses its coarse part.
-const FAR: Pace = Pace { share: 0.45, slack: 2.5 };
+/// From so many times the target on rounds go far: three fifths of all vertices at a time. Nearer, chains cost a fifth of
+/// E_avg on models of a few thousand faces; from here on, nothing.
+const FAR_FACTOR: usize = 30;
+const FAR: Stride = Stride { share: 0.9, longest: 2 };
+const MIDDLE: Stride = Stride { share: 0.6, longest: 0 };
 
-/// Near the target the order matters: at a slack of 2.5, E_avg is 4 % higher on a noisy scan of 1.2 M faces, at 5, 19 %; a
-/// share of 0.25 gains nothing for half as many rounds more.
-const NEAR: Pace = Pace { share: 0.35, slack: 1.5 };
+/// Vertices that a round of pairs may remove, as a share: 0.25 gains nothing for half as many rounds more.
+const PAIRS_SHARE: f64 = 0.35;
+/// The edges that a round of pairs may choose from, as a multiple of the collapses it wants, from the cheapest up; there are
+/// three times as many edges as vertices. At 2.5, E_avg is 4 % higher on a noisy scan of 1.2 M faces, at 5, 19 %.
+const PAIRS_SLACK: f64 = 1.5;
 
 /// Faces that are left to the heap above the target: at least the former, or this share of the target. Where only a few
 /// hundred faces are asked for, each matters, and 1,000 take about 10 ms.
 const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
 
-/// A round that removes fewer than one face in this many has nothing left that batches can do; the heap goes on.
+/// Where a round of groups removes fewer than one face in this many, pairs go on.
+const GROUPS_STALL: usize = 10;
+
+/// A round of pairs that removes fewer than one face in this many has nothing left that batches can do; the heap goes on.
 const STALL: usize = 2000;
 
 /// Bytes of arrays at the peak for a mesh of that many faces and vertices.
@@ -148,7 +158,7 @@ fn prepare<S: Coordinate>(
     let mut stars = Stars::default();
     stars.rebuild(&mesh.faces, n);
     let mut surface = Surface {
-        costs: vec![[0.0; 3]; mesh.faces.len()],
+        costs: Vec::new(),
         faces: mesh.faces,
         positions: mesh.positions,
         learnt: learnt.unwrap_or_default(),
@@ -176,8 +186,8 @@ struct Rounds<'a, S> {
     /// Faces at which the rounds end.
     floor: usize,
     count: u32,
-    /// No cost has been computed under the present metric.
-    fresh: bool,
+    /// Groups have nothing left to take.
+    paired: bool,
     stalled: bool,
 }
 
@@ -186,7 +196,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         let bounded = options.max_error < f64::INFINITY;
         let tail = TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize);
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
-        Rounds { options, batch: Batch::new(), floor, count: 0, fresh: true, stalled: false }
+        Rounds { options, batch: Batch::new(), floor, count: 0, paired: bounded, stalled: false }
     }
 
     /// One round: the largest squared error among its merged vertices, or `None` when there is nothing more for rounds.
@@ -196,75 +206,76 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         if before <= self.floor || self.stalled {
             return Ok(None);
         }
-        let near = self.options.max_error < f64::INFINITY || before / LAST_FACTOR <= self.options.target;
-        self.evaluate(surface, near);
-
-        let pace = if near { NEAR } else { FAR };
+        let within = |factor: usize| before / factor <= self.options.target;
+        let near = self.paired || within(LAST_FACTOR);
         let most = (before - self.floor).div_ceil(2);
-        let wanted = most.min((pace.share * surface.positions.len() as f64) as usize).max(1);
-        let limit = limit(surface, (pace.slack * wanted as f64) as u64);
-        self.batch.select(surface, limit, self.options);
-        let mut pairs = self.batch.pairs();
-        self.hold_back(&mut pairs, surface, most);
-        if pairs.is_empty() {
+        if near {
+            surface.renew_current(self.options);
+            surface.evaluate(self.options, |marks| marks & TOUCHED != 0);
+            let wanted = most.min((PAIRS_SHARE * surface.positions.len() as f64) as usize).max(1);
+            let limit = limit(surface.costs.as_flattened(), (PAIRS_SLACK * wanted as f64) as u64);
+            pairs::select(&mut self.batch, surface, limit, self.options);
+        } else {
+            groups::select(&mut self.batch, surface, if within(FAR_FACTOR) { MIDDLE } else { FAR });
+        }
+        let mut leaders = self.batch.all_leaders();
+        self.hold_back(&mut leaders, surface, most);
+        if leaders.is_empty() && near {
             return Ok(None);
         }
-        let error_sq = commit::commit(surface, &mut self.batch, &pairs);
+        let error_sq = commit::commit(surface, &mut self.batch, &leaders);
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();
         self.count += 1;
-        self.stalled = removed < before / STALL && self.options.max_error == f64::INFINITY;
+        let few = |share: usize| removed < before / share && self.options.max_error == f64::INFINITY;
+        self.stalled = near && few(STALL);
+        self.paired |= few(GROUPS_STALL);
         progress.add(removed as u64);
         Ok(Some(error_sq))
     }
 
-    /// Brings the costs up to date: those at merged vertices, and where current faces count those at all changed faces.
-    fn evaluate(&mut self, surface: &mut Surface<S>, near: bool) {
-        if near {
-            self.fresh |= surface.current.is_empty();
-            surface.renew_current(self.options);
-        }
-        let by = if near { TOUCHED } else { MERGED };
-        let fresh = std::mem::take(&mut self.fresh);
-        surface
-            .evaluate(self.options, |cost, marks| fresh || marks & by != 0 || cost == REFUSED && marks & TOUCHED != 0);
-    }
-
-    /// Keeps only the `most` cheapest collapses of the batch.
-    fn hold_back(&mut self, pairs: &mut Vec<Pair>, surface: &Surface<S>, most: usize) {
-        if pairs.len() <= most {
+    /// Keeps only the cheapest groups of the batch, so that at most `most` vertices go.
+    fn hold_back(&mut self, leaders: &mut Vec<u32>, surface: &Surface<S>, most: usize) {
+        if self.batch.moving() - leaders.len() <= most {
             return;
         }
-        let key = |p: &Pair| {
-            let cost = surface.candidate(&surface.stars, p.stays, p.goes, self.options).cost as f32;
-            (cost.to_bits(), order(p.stays, p.goes))
+        let batch = &self.batch;
+        let key = |members: &mut Vec<u32>, &v: &u32| {
+            batch.members(v, members);
+            let cost = match surface.current.is_empty() {
+                true => surface.merged(members, widen(batch.spots[v as usize])).c,
+                false => surface.candidate(&surface.stars, v, members[1], self.options).cost,
+            };
+            ((cost as f32).to_bits(), order(v, v), members.len() - 1)
         };
-        let mut keyed: Vec<_> = pairs.par_iter().map(|p| (key(p), *p)).collect();
-        keyed.sort_unstable_by_key(|k| k.0);
-        for (_, pair) in keyed.drain(most..) {
-            self.batch.take_back(pair);
+        let mut keyed: Vec<_> = leaders.par_iter().with_min_len(256).map_init(Vec::new, key).collect();
+        keyed.sort_unstable();
+        let mut members = Vec::new();
+        let mut gone = 0;
+        for (_, (_, v, _), goes) in keyed {
+            gone += goes;
+            if gone > most {
+                batch.members(v, &mut members);
+                batch.take_back(&members);
+            }
         }
-        pairs.clear();
-        pairs.extend(keyed.into_iter().map(|k| k.1));
+        leaders.retain(|&v| batch.moves(v));
     }
 }
 
-/// The cost of the `rank`-th cheapest edge, to 1 %; no limit where there cannot be so many.
-fn limit<S: Coordinate>(surface: &Surface<S>, rank: u64) -> f32 {
-    if rank >= 3 * surface.positions.len() as u64 {
-        return f32::from_bits(REFUSED.to_bits() - 1);
-    }
+/// The `rank`-th least cost, to 1 %; no limit where there are not so many.
+fn limit(costs: &[f32], rank: u64) -> f32 {
     const SHIFT: u32 = 16;
     const BUCKETS: usize = 1 << (31 - SHIFT);
-    let count = |mut counts: Vec<u32>, costs: &[f32; 3]| {
+    let count = |mut counts: Vec<u32>, costs: &[f32]| {
         for cost in costs.iter().filter(|c| **c < REFUSED) {
             counts[(cost.to_bits() >> SHIFT) as usize] += 1;
         }
         counts
     };
     let empty = || vec![0u32; BUCKETS];
-    let counts = surface.costs.par_iter().with_min_len(1 << 17).fold(empty, count).reduce(empty, |mut a, b| {
+    let counts = costs.par_chunks(1 << 18).fold(empty, count).reduce(empty, |mut a, b| {
         a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
         a
     });

@@ -15,13 +15,14 @@ pub(super) const REFUSED: f32 = f32::MAX;
 /// quadrics are kept.
 pub(super) struct Surface<S> {
     pub faces: Vec<[u32; 3]>,
-    /// Cost of the edge that leaves each corner; infinite where another corner answers for the edge.
+    /// Cost of the edge that leaves each corner; infinite where another corner answers for the edge. Empty far from the
+    /// target.
     pub costs: Vec<[f32; 3]>,
     pub positions: Vec<[S; 3]>,
     /// What each vertex has learnt of the scan: the sum of the quadrics of all it stands for, about its position.
     pub learnt: Vec<PackedQuadric>,
-    /// `A` of the faces that now meet at each vertex, about its position (so `b` and `c` are zero); empty while the
-    /// learnt quadrics rule.
+    /// `A` of the faces that now meet at each vertex, about its position (so `b` and `c` are zero). Empty far
+    /// from the target.
     pub current: Vec<[f32; 6]>,
     pub marks: Vec<AtomicU8>,
     pub stars: Stars,
@@ -29,10 +30,8 @@ pub(super) struct Surface<S> {
 
 /// The vertex was on an odd edge (one with a number of faces other than two, or faces that disagree on its direction).
 pub(super) const ODD: u8 = 1;
-/// The vertex was made by the last round.
-pub(super) const MERGED: u8 = 2;
 /// A face at the vertex was changed by the last round.
-pub(super) const TOUCHED: u8 = 4;
+pub(super) const TOUCHED: u8 = 2;
 
 /// Where corners of a vertex are looked up: the round's stars, or the tail's.
 pub(super) trait Around {
@@ -113,12 +112,8 @@ impl<S: Coordinate> Surface<S> {
     pub fn candidate(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> Candidate {
         let (pa, pb) = (self.at(a), self.at(b));
         let half = 0.5 * (pb - pa);
-        let learnt = self.learnt_form(a, b, half);
-        if self.current.is_empty() {
-            return place(&learnt, half);
-        }
-        let mut candidate = place(&self.current_form(around, a, b, half, options), half);
-        candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
+        let mut candidate = place(&self.current_form(around, a, b, half, options), DVec3::ZERO, [half, -half]);
+        candidate.cost += LEARNT_WEIGHT * self.learnt_form(a, b, half).value(candidate.step);
         candidate
     }
 
@@ -182,9 +177,9 @@ impl<S: Coordinate> Surface<S> {
     }
 
     /// Learns the planes of the faces and the borders. Each face's plane is worked out once, as the vector whose product
-    /// with itself is its quadric, in the array that will hold its costs.
+    /// with itself is its quadric.
     pub fn learn(&mut self, options: &Options) {
-        let mut roots = std::mem::take(&mut self.costs);
+        let mut roots = vec![[0.0f32; 3]; self.faces.len()];
         let this = &*self;
         this.faces.par_iter().zip(&mut roots).with_min_len(1024).for_each(|(face, root)| {
             let [a, b, c] = face.map(|v| this.at(v));
@@ -206,7 +201,6 @@ impl<S: Coordinate> Surface<S> {
             q.pack()
         });
         self.learnt = learnt.collect();
-        self.costs = roots;
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.
@@ -225,17 +219,20 @@ impl<S: Coordinate> Surface<S> {
         folds_at(a, b) || folds_at(b, a)
     }
 
-    /// Fills the costs of all edges for which `stale` says that they must be computed again.
-    pub fn evaluate(&mut self, options: &Options, stale: impl Fn(f32, u8) -> bool + Sync) {
+    /// Fills the costs of all edges for which `stale` says that they must be computed again: all where there are none.
+    pub fn evaluate(&mut self, options: &Options, stale: impl Fn(u8) -> bool + Sync) {
         let mut costs = std::mem::take(&mut self.costs);
+        let none = costs.is_empty();
+        costs.resize(self.faces.len(), [0.0; 3]);
         let this = &*self;
         this.faces.par_iter().zip(&mut costs).with_min_len(1024).for_each(|(face, costs)| {
             for i in 0..3 {
                 let (a, b) = (face[i], face[(i + 1) % 3]);
                 if !this.answers_for(a, b) {
                     costs[i] = f32::INFINITY;
-                } else if stale(costs[i], this.mark(a) | this.mark(b)) {
-                    costs[i] = this.cost(a, b, options);
+                } else if none || stale(this.mark(a) | this.mark(b)) {
+                    let cost = this.candidate(&this.stars, a, b, options).cost as f32;
+                    costs[i] = if cost < REFUSED { cost } else { REFUSED };
                 }
             }
         });
@@ -255,23 +252,23 @@ impl<S: Coordinate> Surface<S> {
         }
     }
 
-    /// What an edge is ranked by. While learnt quadrics rule, the best of the middle and the ends stands for the optimum:
-    /// less work, and E_avg was no higher on any of nine models tried; only collapses that are performed are placed.
+    /// What an edge costs for what its ends have learnt: the best of the middle and the ends stands for the optimum. That is
+    /// less work, and E_avg was no higher on any of nine models tried. The same from either end.
     #[inline(always)]
-    fn cost(&self, a: u32, b: u32, options: &Options) -> f32 {
-        let cost = if self.current.is_empty() {
-            let half = (0.5 * (self.at(b) - self.at(a))).as_vec3();
-            least_of_three(&self.learnt[a as usize], &self.learnt[b as usize], half)
-        } else {
-            self.candidate(&self.stars, a, b, options).cost as f32
-        };
+    pub fn rank(&self, a: u32, b: u32) -> f32 {
+        let half = 0.5 * step(self.positions[a as usize], self.positions[b as usize]);
+        let cost = least_of_three(&self.learnt[a as usize], &self.learnt[b as usize], half);
         if cost < REFUSED { cost } else { REFUSED }
     }
 
-    /// The sum of what two vertices learnt, about the place where they merge.
-    pub fn merged(&self, a: u32, b: u32, x: DVec3) -> Quadric {
-        self.learnt[a as usize].unpack().shifted(x - self.at(a))
-            + self.learnt[b as usize].unpack().shifted(x - self.at(b))
+    /// The sum of what vertices have learnt, about `x`.
+    #[inline(always)]
+    pub fn merged(&self, members: &[u32], x: DVec3) -> Quadric {
+        let mut q = Quadric::default();
+        for &v in members {
+            q += self.learnt[v as usize].unpack().shifted(x - self.at(v));
+        }
+        q
     }
 
     /// Brings the quadrics of the current faces up to date, after the last round or for the first time.
@@ -349,32 +346,35 @@ fn subtract(q: &mut Quadric, o: &Quadric) {
 /// precision, like the quadrics: it only ranks.
 #[inline(always)]
 fn least_of_three(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
-    let product = |a: &[f32; 6], x: Vec3| {
-        Vec3::new(
-            a[0] * x.x + a[1] * x.y + a[2] * x.z,
-            a[1] * x.x + a[3] * x.y + a[4] * x.z,
-            a[2] * x.x + a[4] * x.y + a[5] * x.z,
-        )
+    let (x, y, z) = (half.x, half.y, half.z);
+    let squares = [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z];
+    let form = |a: &[f32; 6]| {
+        let t: [f32; 6] = std::array::from_fn(|i| a[i] * squares[i]);
+        ((t[0] + t[1]) + (t[2] + t[3])) + (t[4] + t[5])
     };
     // p at its own origin is c, in the middle c + 2b·h + hᵀAh, at q's origin c + 4b·h + 4hᵀAh; q likewise towards −h.
     let (pb, qb) = (2.0 * Vec3::from(p.b).dot(half), -2.0 * Vec3::from(q.b).dot(half));
-    let (pa, qa) = (product(&p.a, half).dot(half), product(&q.a, half).dot(half));
-    let middle = pb + qb + pa + qa;
+    let (pa, qa) = (form(&p.a), form(&q.a));
+    let middle = (pb + qb) + (pa + qa);
     let at_p = 2.0 * qb + 4.0 * qa;
     let at_q = 2.0 * pb + 4.0 * pa;
-    (p.c + q.c + middle.min(at_p).min(at_q)).max(0.0)
+    let least = |a: f32, b: f32| if a < b { a } else { b };
+    let cost = p.c + q.c + least(middle, least(at_p, at_q));
+    if cost > 0.0 { cost } else { 0.0 }
 }
 
-/// Optimal placement with its fallbacks, about the middle of the edge (thesis §3.5).
+/// Optimal placement with its fallbacks (thesis §3.5): the minimiser, unless it lies far from all that is merged; then the
+/// best of the middle and the merged vertices.
 #[inline(always)]
-fn place(q: &Quadric, half: DVec3) -> Candidate {
-    if let Some(step) = q.minimiser(DVec3::ZERO, PULL)
-        && step.length_squared() <= (2.0 * REACH) * (2.0 * REACH) * half.length_squared()
+pub(super) fn place(q: &Quadric, middle: DVec3, merged: impl IntoIterator<Item = DVec3> + Clone) -> Candidate {
+    let reach_sq = merged.clone().into_iter().map(|p| (p - middle).length_squared()).fold(0.0, f64::max);
+    if let Some(step) = q.minimiser(middle, PULL)
+        && (step - middle).length_squared() <= (2.0 * REACH) * (2.0 * REACH) * reach_sq
     {
         return Candidate { step, cost: q.value(step) };
     }
-    let mut best = Candidate { step: DVec3::ZERO, cost: q.value(DVec3::ZERO) };
-    for step in [half, -half] {
+    let mut best = Candidate { step: middle, cost: q.value(middle) };
+    for step in merged {
         let cost = q.value(step);
         if cost < best.cost {
             best = Candidate { step, cost };

@@ -1,7 +1,7 @@
 //! The last collapses, one at a time from a heap, so that the count is exact and the order is the thesis's.
 
 use super::Options;
-use super::select::{NONE, order};
+use super::batch::{NONE, order};
 use super::surface::{Around, ODD, Surface};
 use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::{Coordinate, widen};
@@ -147,7 +147,7 @@ impl<S: Coordinate> Tail<'_, S> {
         let s = &*self.surface;
         let candidate = s.candidate(&self.overlay, a, b, self.options);
         let spot = s.spot(a, b, candidate.step);
-        let merged = s.merged(a, b, widen(spot));
+        let merged = s.merged(&[a, b], widen(spot));
         let error_sq = if merged.w > 0.0 { merged.c / merged.w } else { 0.0 };
         if !may_fold && s.folds(&self.overlay, a, b, spot) {
             return false;

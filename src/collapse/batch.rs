@@ -1,0 +1,189 @@
+//! One batch: the collapses that are performed together.
+//!
+//! A batch says of every vertex which one it becomes: its *leader*, which moves to the group's spot. Near the target a group
+//! is an edge's two ends ([`pairs`](super::pairs)); far from it more may go together ([`groups`](super::groups)).
+//!
+//! Stars of neighbouring groups overlap. All faces with moving corners are checked with all of them moved; of the groups at
+//! a face that folds over, one is taken back (by a hash: any rule that threads cannot change will do), until none folds.
+
+use super::surface::{Surface, place, turned};
+use crate::mesh::{Coordinate, narrow, step};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+/// No vertex.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// The arrays of one round, kept for the next: 8 bytes a vertex and a position.
+pub(super) struct Batch<S> {
+    /// While the batch is chosen: the end of a vertex's cheapest edge. Then: the next member of its group, round and round.
+    pub next: Vec<AtomicU32>,
+    /// The vertex that each one becomes, or [`NONE`] where it stays as it is.
+    pub leaders: Vec<AtomicU32>,
+    /// Where a leader goes.
+    pub spots: Vec<[S; 3]>,
+}
+
+impl<S: Coordinate> Batch<S> {
+    /// No collapses.
+    pub fn new() -> Self {
+        Batch { next: Vec::new(), leaders: Vec::new(), spots: Vec::new() }
+    }
+
+    /// Makes room for a batch among `vertices`, in which nothing moves yet.
+    pub fn begin(&mut self, vertices: usize, next: u32) {
+        self.next.clear();
+        self.next.resize_with(vertices, || AtomicU32::new(next));
+        self.leaders.clear();
+        self.leaders.resize_with(vertices, || AtomicU32::new(NONE));
+        self.spots.resize(vertices, [S::narrow(0.0); 3]);
+    }
+
+    /// The leader of the group that `v` is in, or [`NONE`].
+    #[inline(always)]
+    pub fn leader(&self, v: u32) -> u32 {
+        self.leaders[v as usize].load(Relaxed)
+    }
+
+    /// Whether `v` is in a group.
+    #[inline(always)]
+    pub fn moves(&self, v: u32) -> bool {
+        self.leader(v) != NONE
+    }
+
+    /// The vertex that `v` becomes.
+    #[inline(always)]
+    pub fn becomes(&self, v: u32) -> u32 {
+        let leader = self.leader(v);
+        if leader == NONE { v } else { leader }
+    }
+
+    /// All leaders, in order.
+    pub fn all_leaders(&self) -> Vec<u32> {
+        let leads = |(v, leader): (usize, &AtomicU32)| (leader.load(Relaxed) == v as u32).then_some(v as u32);
+        self.leaders.par_iter().enumerate().with_min_len(4096).filter_map(leads).collect()
+    }
+
+    /// How many vertices are in groups.
+    pub fn moving(&self) -> usize {
+        self.leaders.par_iter().with_min_len(4096).filter(|leader| leader.load(Relaxed) != NONE).count()
+    }
+
+    /// The members of a group, its leader first.
+    pub fn members(&self, leader: u32, members: &mut Vec<u32>) {
+        members.clear();
+        let mut v = leader;
+        loop {
+            members.push(v);
+            v = self.next[v as usize].load(Relaxed);
+            if v == leader {
+                return;
+            }
+        }
+    }
+
+    /// Takes a group out of the batch.
+    pub fn take_back(&self, members: &[u32]) {
+        for &v in members {
+            self.leaders[v as usize].store(NONE, Relaxed);
+        }
+    }
+
+    /// Takes one member out of its group: the leader only with all others.
+    fn part(&self, v: u32, members: &mut Vec<u32>) {
+        let leader = self.leader(v);
+        self.members(leader, members);
+        if v == leader || members.len() == 2 {
+            self.take_back(members);
+            return;
+        }
+        let i = members.iter().position(|&u| u == v).unwrap_or(0);
+        self.next[members[i - 1] as usize].store(members[(i + 1) % members.len()], Relaxed);
+        self.leaders[v as usize].store(NONE, Relaxed);
+    }
+
+    /// Takes vertices out of their groups until no face folds over that has as many moving corners as `least_moving` or more.
+    pub fn take_back_folds(&mut self, surface: &Surface<S>, least_moving: usize) {
+        let faces = surface.faces.len() as u32;
+        let in_order = |mut back: Vec<u32>| {
+            back.sort_unstable();
+            back.dedup();
+            back
+        };
+        let this = &*self;
+        let folded = |f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
+        let mut back = in_order((0..faces).into_par_iter().with_min_len(4096).filter_map(folded).collect());
+        let mut members = Vec::new();
+        while !back.is_empty() {
+            let mut around = Vec::new();
+            for v in back {
+                let leader = self.leader(v);
+                if leader == NONE {
+                    continue;
+                }
+                self.part(v, &mut members);
+                around.extend(members.iter().flat_map(|&v| surface.stars.of(v)).map(|c| c >> 2));
+                if members.len() > 2 && v != leader {
+                    self.members(leader, &mut members);
+                    self.spots[leader as usize] = self.place(surface, &members);
+                }
+            }
+            // Only faces at a group that has changed can have changed.
+            let around = in_order(around);
+            let this = &*self;
+            let folded = |f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
+            back = in_order(around.into_par_iter().filter_map(folded).collect());
+        }
+    }
+
+    /// Where the merged vertex of a group belongs for what its members have learnt.
+    pub fn place(&self, surface: &Surface<S>, members: &[u32]) -> [S; 3] {
+        let at = surface.at(members[0]);
+        let steps = members.iter().map(|&u| surface.at(u) - at);
+        let middle = steps.clone().sum::<DVec3>() / members.len() as f64;
+        narrow(at + place(&surface.merged(members, at), middle, steps).step)
+    }
+
+    /// If the batch folds `face` over: one of its corners that would better stay, a leader only if there is no other.
+    #[inline(always)]
+    fn folded(&self, surface: &Surface<S>, face: &[u32; 3], least_moving: usize) -> Option<u32> {
+        let leaders = face.map(|v| self.leader(v));
+        let moving = leaders.iter().filter(|&&u| u != NONE).count();
+        let vanishes = |i: usize, j: usize| leaders[i] != NONE && leaders[i] == leaders[j];
+        if moving < least_moving || vanishes(0, 1) || vanishes(1, 2) || vanishes(2, 0) {
+            return None;
+        }
+        let was = face.map(|v| surface.positions[v as usize]);
+        let mut would = was;
+        let mut blamed = None;
+        for i in 0..3 {
+            if leaders[i] != NONE {
+                would[i] = self.spots[leaders[i] as usize];
+                let leads = face[i] == leaders[i];
+                blamed = blamed.max(Some((!leads, hash(leaders[i], face[i]), face[i])));
+            }
+        }
+        let normal = |p: [[S; 3]; 3]| step(p[0], p[1]).cross(step(p[0], p[2]));
+        turned(normal(was), normal(would)).then_some(blamed?.2)
+    }
+
+    /// The memory of the groups' order, once they are merged.
+    pub fn spare(&mut self) -> &mut Vec<AtomicU32> {
+        &mut self.next
+    }
+}
+
+/// The order among edges of one cost.
+#[inline]
+pub(super) fn order(a: u32, b: u32) -> (u32, u32, u32) {
+    let (a, b) = (a.min(b), a.max(b));
+    (hash(a, b), a, b)
+}
+
+#[inline(always)]
+pub(super) fn hash(a: u32, b: u32) -> u32 {
+    let mut h = (u64::from(a) << 32 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    h ^= h >> 29;
+    (h.wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 32) as u32
+}
