@@ -50,6 +50,7 @@ pub mod plan;
 pub mod progress;
 pub mod quadric;
 pub mod read;
+pub mod refit;
 pub mod report;
 pub mod scratch;
 pub mod synth;

@@ -185,6 +185,7 @@ impl Run<'_> {
             target: asked.unwrap_or(0).try_into().unwrap_or(usize::MAX),
             max_error,
             boundary_weight: self.job.boundary_weight,
+            keep_reference: true,
         }
     }
 

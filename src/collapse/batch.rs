@@ -168,7 +168,7 @@ impl<S: Coordinate> Batch<S> {
         turned(normal(was), normal(would)).then_some(blamed?.2)
     }
 
-    /// The memory of the groups' order, once they are merged.
+    /// The memory of the groups' order, once they are merged: the vertices' new numbers, then.
     pub fn spare(&mut self) -> &mut Vec<AtomicU32> {
         &mut self.next
     }

@@ -2,7 +2,7 @@
 
 use super::batch::{Batch, NONE};
 use super::surface::{ODD, Surface, TOUCHED};
-use crate::mesh::{Coordinate, widen};
+use crate::mesh::{Coordinate, Reference, widen};
 use crate::quadric::PackedQuadric;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
@@ -14,13 +14,24 @@ const USED: u8 = 4;
 const BLOCK: usize = 1 << 16;
 
 /// Performs the collapses of `batch`, whose leaders are given. Returns the largest squared error among the merged vertices.
-pub(super) fn commit<S: Coordinate>(surface: &mut Surface<S>, batch: &mut Batch<S>, leaders: &[u32]) -> f64 {
+pub(super) fn commit<S: Coordinate>(
+    surface: &mut Surface<S>,
+    batch: &mut Batch<S>,
+    leaders: &[u32],
+    reference: Option<&mut Reference<S>>,
+) -> f64 {
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
         m.fetch_and(ODD, Relaxed);
     });
     let error_sq = merge(surface, batch, leaders);
     rename(surface, batch);
     compact(surface, batch.spare());
+    if let Some(reference) = reference {
+        let numbers = &batch.next;
+        reference.homes.par_iter_mut().with_min_len(4096).filter(|home| **home != NONE).for_each(|home| {
+            *home = numbers[batch.becomes(*home) as usize].load(Relaxed);
+        });
+    }
     error_sq
 }
 

@@ -38,7 +38,7 @@ pub use classify::Irregularities;
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
-use crate::mesh::{Coordinate, IndexedMesh, widen};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use batch::{Batch, order};
@@ -56,6 +56,8 @@ pub struct Options {
     /// Weight of border edges against area: a border edge's squared length times this is the weight of the squared distance
     /// to its line. 0 lets borders shrink, 10 costs 45 % of E_avg on the bunny.
     pub boundary_weight: f64,
+    /// Whether to keep the mesh as it was at ten times the target, and what became of it.
+    pub keep_reference: bool,
 }
 
 /// The reduced mesh and what happened.
@@ -67,6 +69,9 @@ pub struct Collapsed<S> {
     pub error_estimate: f64,
     /// What was irregular in the mesh that came in.
     pub irregularities: Irregularities,
+    /// What the result stands for, if it was to be kept: the mesh that came in, or what was left of it at ten times the
+    /// target.
+    pub reference: Option<Reference<S>>,
     /// Rounds of batches.
     pub rounds: u32,
     /// Whether faces had to be folded over to reach the count.
@@ -136,16 +141,20 @@ pub fn collapse<S: Coordinate>(
         error_sq = error_sq.max(round_error_sq);
     }
     let count = rounds.count;
+    let mut reference = rounds.reference.take();
     drop(rounds);
+    if options.keep_reference && reference.is_none() {
+        reference = Some(surface.reference());
+    }
     let mut folded = false;
     if surface.faces.len() > options.target && options.max_error == f64::INFINITY {
         surface.renew_current(options);
-        let end = tail::finish(&mut surface, options, progress)?;
+        let end = tail::finish(&mut surface, options, reference.as_mut(), progress)?;
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
     }
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
-    Ok(Collapsed { mesh, error_estimate: error_sq.sqrt(), irregularities, rounds: count, folded })
+    Ok(Collapsed { mesh, error_estimate: error_sq.sqrt(), irregularities, reference, rounds: count, folded })
 }
 
 /// Lays out the arrays, classifies, and learns the faces' quadrics where none are carried.
@@ -185,6 +194,7 @@ struct Rounds<'a, S> {
     batch: Batch<S>,
     /// Faces at which the rounds end.
     floor: usize,
+    reference: Option<Reference<S>>,
     count: u32,
     /// Groups have nothing left to take.
     paired: bool,
@@ -196,7 +206,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         let bounded = options.max_error < f64::INFINITY;
         let tail = TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize);
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
-        Rounds { options, batch: Batch::new(), floor, count: 0, paired: bounded, stalled: false }
+        Rounds { options, batch: Batch::new(), floor, reference: None, count: 0, paired: bounded, stalled: false }
     }
 
     /// One round: the largest squared error among its merged vertices, or `None` when there is nothing more for rounds.
@@ -210,6 +220,9 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         let near = self.paired || within(LAST_FACTOR);
         let most = (before - self.floor).div_ceil(2);
         if near {
+            if self.options.keep_reference && self.reference.is_none() {
+                self.reference = Some(surface.reference());
+            }
             surface.renew_current(self.options);
             surface.evaluate(self.options, |marks| marks & TOUCHED != 0);
             let wanted = most.min((PAIRS_SHARE * surface.positions.len() as f64) as usize).max(1);
@@ -223,7 +236,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         if leaders.is_empty() && near {
             return Ok(None);
         }
-        let error_sq = commit::commit(surface, &mut self.batch, &leaders);
+        let error_sq = commit::commit(surface, &mut self.batch, &leaders, self.reference.as_mut());
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();

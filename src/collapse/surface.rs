@@ -2,7 +2,7 @@
 
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
-use crate::mesh::{Coordinate, narrow, step, widen};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
 use crate::quadric::{PackedQuadric, Quadric};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -201,6 +201,12 @@ impl<S: Coordinate> Surface<S> {
             q.pack()
         });
         self.learnt = learnt.collect();
+    }
+
+    /// The mesh as it is now, for a reference.
+    pub fn reference(&self) -> Reference<S> {
+        let mesh = IndexedMesh { positions: self.positions.clone(), faces: self.faces.clone() };
+        Reference { mesh, homes: (0..self.positions.len() as u32).collect() }
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.

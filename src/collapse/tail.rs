@@ -4,7 +4,7 @@ use super::Options;
 use super::batch::{NONE, order};
 use super::surface::{Around, ODD, Surface};
 use crate::mesh::adjacency::{Stars, parts};
-use crate::mesh::{Coordinate, widen};
+use crate::mesh::{Coordinate, Reference, widen};
 use crate::{Result, progress::Progress};
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
@@ -50,10 +50,16 @@ enum Need {
 }
 
 /// Collapses until at most `options.target` faces are left.
-pub(super) fn finish<S: Coordinate>(surface: &mut Surface<S>, options: &Options, progress: &Progress) -> Result<End> {
+pub(super) fn finish<S: Coordinate>(
+    surface: &mut Surface<S>,
+    options: &Options,
+    reference: Option<&mut Reference<S>>,
+    progress: &Progress,
+) -> Result<End> {
     let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
     let left = surface.faces.len();
-    let mut tail = Tail { left, surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, options };
+    let becomes = (0..surface.positions.len() as u32).collect();
+    let mut tail = Tail { becomes, left, surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, options };
     let mut need = Need::None;
     let mut folded = false;
     while tail.left > options.target {
@@ -70,7 +76,18 @@ pub(super) fn finish<S: Coordinate>(surface: &mut Surface<S>, options: &Options,
         };
     }
     let error_sq = tail.error_sq;
-    compact(surface);
+    let mut becomes = std::mem::take(&mut tail.becomes);
+    let numbers = compact(surface);
+    if let Some(reference) = reference {
+        for home in reference.homes.iter_mut().filter(|home| **home != NONE) {
+            while becomes[*home as usize] != *home {
+                let next = becomes[*home as usize];
+                becomes[*home as usize] = becomes[next as usize];
+                *home = next;
+            }
+            *home = numbers[*home as usize];
+        }
+    }
     Ok(End { error_sq, folded })
 }
 
@@ -78,6 +95,8 @@ struct Tail<'a, S> {
     surface: &'a mut Surface<S>,
     overlay: Overlay,
     heap: BinaryHeap<Entry>,
+    /// The vertex that each one was merged into, or itself.
+    becomes: Vec<u32>,
     left: usize,
     error_sq: f64,
     options: &'a Options,
@@ -158,6 +177,7 @@ impl<S: Coordinate> Tail<'_, S> {
         self.surface.learnt[v] = merged.pack();
         let odd = self.surface.marks[b as usize].load(Relaxed) & ODD;
         self.surface.marks[v].fetch_or(odd, Relaxed);
+        self.becomes[b as usize] = a;
         self.rewire(a, b);
         self.refresh(a);
         true
@@ -215,8 +235,8 @@ impl<S: Coordinate> Tail<'_, S> {
     }
 }
 
-/// Drops what the tail has removed.
-fn compact<S: Coordinate>(surface: &mut Surface<S>) {
+/// Drops what the tail has removed. Returns the vertices' new numbers.
+fn compact<S: Coordinate>(surface: &mut Surface<S>) -> Vec<u32> {
     surface.faces.retain(|f| f[0] != NONE);
     let mut numbers = vec![NONE; surface.positions.len()];
     for &v in surface.faces.iter().flatten() {
@@ -234,4 +254,5 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>) {
     for v in surface.faces.iter_mut().flatten() {
         *v = numbers[*v as usize];
     }
+    numbers
 }

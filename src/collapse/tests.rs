@@ -6,7 +6,7 @@ use glam::DVec3;
 use std::collections::HashMap;
 
 fn options(target: usize) -> Options {
-    Options { target, max_error: f64::INFINITY, boundary_weight: 1.0 }
+    Options { target, max_error: f64::INFINITY, boundary_weight: 1.0, keep_reference: false }
 }
 
 fn reduce(mesh: &IndexedMesh<f32>, target: usize) -> Collapsed<f32> {
@@ -215,7 +215,7 @@ fn threads_change_nothing() {
 fn an_error_bound_ends_the_collapse() {
     let scan = sphere(40, 0.0);
     let bounded = |max_error: f64| {
-        let options = Options { target: 0, max_error, boundary_weight: 1.0 };
+        let options = Options { target: 0, max_error, boundary_weight: 1.0, keep_reference: false };
         collapse(scan.clone(), None, &options, &Progress::default()).unwrap()
     };
     let (fine, coarse) = (bounded(1e-4), bounded(1e-2));

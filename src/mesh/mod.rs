@@ -3,9 +3,11 @@
 pub mod adjacency;
 mod frame;
 mod indexed;
+mod reference;
 mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
 pub use indexed::{IndexedMesh, narrow, step, widen};
+pub use reference::Reference;
 pub(crate) use weld::{BATCH, PositionTable};
 pub use weld::{WeldReport, weld};

@@ -1,0 +1,107 @@
+//! Edge flips: where the other diagonal of two faces is nearer to the samples.
+
+use super::NONE;
+use super::ground::{Ground, nearest_to_origin};
+use super::samples::Samples;
+use crate::mesh::adjacency::{after, before, parts};
+use crate::mesh::{Coordinate, Reference, step};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// A flip must lower the squared error of its samples by this share: less is noise, and flips that undo one another.
+const LEAST_GAIN: f32 = 0.02;
+
+/// The least cosine between the normals of the new faces and of the old ones.
+const LEAST_COSINE: f32 = 0.5;
+
+/// An edge whose flip pays: of faces (u, v, a) and (v, u, b).
+struct Flip {
+    gain: f32,
+    faces: [u32; 2],
+    quad: [u32; 4],
+}
+
+/// Flips the edges that pay, best first, no two at one vertex. Returns how many.
+pub(super) fn flip<S: Coordinate>(
+    ground: Ground<S>,
+    reference: &Reference<S>,
+    samples: &Samples,
+    fixed: &[bool],
+) -> Vec<(u32, [u32; 3])> {
+    let faces = ground.mesh.faces.len();
+    let mut flips: Vec<Flip> = (0..faces as u32)
+        .into_par_iter()
+        .with_min_len(256)
+        .flat_map_iter(|f| (0..3).filter_map(move |side| candidate(ground, reference, samples, f, side)))
+        .collect();
+    flips.sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then(a.faces.cmp(&b.faces)));
+    let mut taken = vec![false; fixed.len()];
+    let mut changed = Vec::new();
+    for Flip { faces: [f, g], quad: [u, b, v, a], .. } in flips {
+        let quad = [u, b, v, a];
+        if quad.iter().any(|&w| taken[w as usize]) {
+            continue;
+        }
+        quad.iter().for_each(|&w| taken[w as usize] = true);
+        changed.extend([(f, [u, b, a]), (g, [b, v, a])]);
+    }
+    changed
+}
+
+/// The flip of the edge that leaves `side` of face `f`, if it pays.
+fn candidate<S: Coordinate>(
+    ground: Ground<S>,
+    reference: &Reference<S>,
+    samples: &Samples,
+    f: u32,
+    side: usize,
+) -> Option<Flip> {
+    let face = ground.mesh.faces[f as usize];
+    let (u, v, a) = (face[side], face[after(side)], face[before(side)]);
+    if u > v {
+        return None;
+    }
+    let (g, b) = opposite(ground, f, u, v)?;
+    let joined = ground.stars.of(a).iter().any(|&c| ground.mesh.faces[parts(c).0].contains(&b));
+    if a == b || joined {
+        return None;
+    }
+    let at = |w: u32| ground.mesh.positions[w as usize];
+    let normal = |[p, q, r]: [u32; 3]| step(at(p), at(q)).cross(step(at(p), at(r)));
+    let (was, would) = ([normal(face), normal(ground.mesh.faces[g as usize])], [[u, b, a], [b, v, a]]);
+    let tilts = |n: Vec3| was.iter().any(|w| n.dot(*w) < LEAST_COSINE * n.length() * w.length());
+    if would.iter().any(|t| tilts(normal(*t))) {
+        return None;
+    }
+    let (mut before_sq, mut after_sq) = (0.0, 0.0);
+    for &k in samples.of(f as usize).iter().chain(samples.of(g as usize)) {
+        let point = Samples::point(reference, k);
+        let weight = point.normal.length();
+        let distance_sq = |t: [u32; 3]| {
+            let corners = t.map(|w| step(point.at, at(w)));
+            let l = nearest_to_origin(corners);
+            (corners[0] * l[0] + corners[1] * l[1] + corners[2] * l[2]).length_squared()
+        };
+        before_sq += weight * distance_sq(face).min(distance_sq(ground.mesh.faces[g as usize]));
+        after_sq += weight * distance_sq(would[0]).min(distance_sq(would[1]));
+    }
+    let gain = before_sq - after_sq;
+    (gain > LEAST_GAIN * before_sq).then_some(Flip { gain, faces: [f, g], quad: [u, b, v, a] })
+}
+
+/// The one other face of the edge from `u` to `v` of face `f`, and its third vertex.
+fn opposite<S: Coordinate>(ground: Ground<S>, f: u32, u: u32, v: u32) -> Option<(u32, u32)> {
+    let mut found = None;
+    for &corner in ground.stars.of(u) {
+        let (g, i) = parts(corner);
+        let face = ground.mesh.faces[g];
+        if g as u32 == f || !face.contains(&v) {
+            continue;
+        }
+        if found.is_some() || face[before(i)] != v {
+            return None;
+        }
+        found = Some((g as u32, face[after(i)]));
+    }
+    found.filter(|&(g, _)| g != NONE)
+}
