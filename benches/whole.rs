@@ -29,6 +29,7 @@ impl Row<'_> {
             threads,
             scratch: None,
             representative: Representative::Quadric,
+            refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
             boundary_weight: 1.0,
         };
         reduce(&job, &Progress::default()).unwrap()

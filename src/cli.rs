@@ -4,7 +4,7 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
-use meshmill::job::{Count, JobFile, Length, Ratio, ReportTable, RunTable, ScanTable, Threads};
+use meshmill::job::{Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads};
 
 /// Reduces huge meshes to the face count you ask for, in fixed memory
 #[derive(Debug, Parser)]
@@ -47,6 +47,10 @@ pub struct ReduceArgs {
     /// Bound on the whole process's peak resident memory, like 512MiB or 2GiB [default: 512MiB]
     #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
     memory: Option<Size>,
+
+    /// Rounds in which the result moves closer to the scan: 0 for none, 3 to 5 for the closest [default: 1]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    refit: Option<Rounds>,
 
     /// Worker threads; the result does not depend on them [default: the cores]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -120,6 +124,7 @@ impl From<ReduceArgs> for JobFile {
         JobFile {
             scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
             run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
+            refit: RefitTable { rounds: args.refit },
             report: ReportTable { json: Some(args.json) },
             ..Default::default()
         }

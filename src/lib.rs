@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!            ┌ fits the budget ──→ load, weld ──────────────────┐
-//!  scan ─→ read                                                 ├─→ collapse ─→ write
+//!  scan ─→ read                                                 ├─→ collapse ─→ refit ─→ write
 //!            └ does not ──→ cluster: bin, sum, place, carry ────┘
 //!                           quadrics over
 //! ```
@@ -14,6 +14,7 @@
 //! | [`read`] | a mapped PLY or STL | chunks of vertices, triangles or soup; or the whole scan, welded |
 //! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
+//! | [`refit`] | that mesh, and a finer one that it stands for | the same mesh, closer to the scan |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!

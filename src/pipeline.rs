@@ -9,6 +9,7 @@ use crate::plan::{Cells, LEAST_RATIO, Purse, in_core_budget};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
+use crate::refit::{self, refit};
 use crate::report::{MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
@@ -74,10 +75,14 @@ impl Run<'_> {
             Source::Clustered(_) => (seconds.read, seconds.cluster) = (opened, clock.lap()),
         }
         let faces = mesh.faces.len();
-        let Collapsed { mesh, error_estimate, irregularities, .. } =
-            collapse(mesh, quadrics, &self.collapse_options(asked, frame), self.progress)?;
+        let Collapsed { mut mesh, error_estimate, irregularities, reference, .. } =
+            collapse(mesh, quadrics, &self.collapse_options(asked, faces, frame), self.progress)?;
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse = clock.lap();
+        if let Some(reference) = reference {
+            refit(&mut mesh, &reference, self.job.refit_rounds, self.progress)?;
+        }
+        seconds.refit = clock.lap();
 
         let mut warnings = self.warnings(asked, &source, faces);
         // What is irregular in the mesh that clustering made says nothing of the scan.
@@ -176,16 +181,17 @@ impl Run<'_> {
         }
     }
 
-    fn collapse_options(&self, asked: Option<u64>, frame: Frame) -> collapse::Options {
+    fn collapse_options(&self, asked: Option<u64>, faces: usize, frame: Frame) -> collapse::Options {
         let max_error = match self.job.target {
             crate::job::Target::MaxError(length) => frame.to_frame(length),
             _ => f64::INFINITY,
         };
+        let target = asked.unwrap_or(0).try_into().unwrap_or(usize::MAX);
         collapse::Options {
-            target: asked.unwrap_or(0).try_into().unwrap_or(usize::MAX),
+            target,
             max_error,
             boundary_weight: self.job.boundary_weight,
-            keep_reference: true,
+            keep_reference: self.job.refit_rounds > 0 && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
     }
 

@@ -16,14 +16,16 @@ pub enum Stage {
     Cluster = 1,
     /// Batched collapse.
     Collapse = 2,
+    /// Moving the result to where the scan is.
+    Refit = 3,
     /// Encoding, syncing and renaming the result.
-    Write = 3,
+    Write = 4,
 }
 
 impl Stage {
     /// The stage's word in reports and on the terminal.
     pub fn word(self) -> &'static str {
-        ["read", "cluster", "collapse", "write"][self as usize]
+        ["read", "cluster", "collapse", "refit", "write"][self as usize]
     }
 }
 
@@ -60,6 +62,7 @@ impl Progress {
             0 => Stage::Read,
             1 => Stage::Cluster,
             2 => Stage::Collapse,
+            3 => Stage::Refit,
             _ => Stage::Write,
         };
         (stage, self.done.load(Relaxed), self.total.load(Relaxed))

@@ -74,6 +74,8 @@ pub struct Timeline {
     pub cluster: f64,
     /// Collapse.
     pub collapse: f64,
+    /// Refit.
+    pub refit: f64,
     /// Encoding, syncing, renaming.
     pub write: f64,
     /// From the first byte to the rename.
@@ -234,11 +236,12 @@ impl Report {
             lines.push(format!("error    about {}, in the scan's units, as estimated", significant(error)));
         }
         lines.push(format!(
-            "time     {:.2} s: read {:.2}, cluster {:.2}, collapse {:.2}, write {:.2}; {}",
+            "time     {:.2} s: read {:.2}, cluster {:.2}, collapse {:.2}, refit {:.2}, write {:.2}; {}",
             seconds.total,
             seconds.read,
             seconds.cluster,
             seconds.collapse,
+            seconds.refit,
             seconds.write,
             count(self.threads as u64, "thread"),
         ));
@@ -389,7 +392,7 @@ mod tests {
             memory_budget_bytes: 256 << 20,
             peak_rss_bytes: Some(201 << 20),
             scratch_bytes: 112_240_016,
-            seconds: Timeline { read: 0.1, cluster: 0.5, collapse: 0.75, write: 0.05, total: 1.4 },
+            seconds: Timeline { read: 0.1, cluster: 0.5, collapse: 0.5, refit: 0.25, write: 0.05, total: 1.4 },
             error_estimate: Some(0.012_345),
             warnings: vec![Warning::TrailingBytes { bytes: 1 }],
         }
@@ -402,7 +405,7 @@ mod tests {
             r#"{{"schema":1,"version":"{version}","input":{{"path":"scan.ply","faces":28060000,"vertices":14030002}},"#
         ) + r#""output":{"path":"small.ply","faces":140000,"vertices":70002},"mode":"out-of-core","cells":812345,"#
             + r#""ratio":11.6,"threads":2,"memory_budget_bytes":268435456,"peak_rss_bytes":210763776,"#
-            + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.75,"write":0.05,"#
+            + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.5,"refit":0.25,"write":0.05,"#
             + r#""total":1.4},"error_estimate":0.012345,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
             + r#"last element ignored: if the scan looks cut short, its header counts too few"}]}"#;
         assert_eq!(json(&report()), expected);
@@ -432,7 +435,7 @@ mod tests {
                 "mode     out of core, 812,345 cells, 11.6 times the faces of the result",
                 "result   small.ply: 140,000 faces, 70,002 vertices",
                 "error    about 0.0123, in the scan's units, as estimated",
-                "time     1.40 s: read 0.10, cluster 0.50, collapse 0.75, write 0.05; 2 threads",
+                "time     1.40 s: read 0.10, cluster 0.50, collapse 0.50, refit 0.25, write 0.05; 2 threads",
                 "memory   201MiB at the peak, of 256MiB; 108MiB of scratch on disk",
                 "warning  1 byte after the last element ignored: if the scan looks cut short, its header counts too few",
             ]

@@ -17,6 +17,9 @@
 //! [collapse]
 //! boundary_weight = 1.0
 //!
+//! [refit]
+//! rounds = 1
+//!
 //! [report]
 //! json = false
 //! ```
@@ -26,7 +29,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::Target;
-use super::quantity::{Count, Length, Ratio, Threads, Weight, as_written, write_size};
+use super::quantity::{Count, Length, Ratio, Rounds, Threads, Weight, as_written, write_size};
 use crate::budget::Size;
 use crate::cluster::Representative;
 use crate::error::{Error, Result};
@@ -47,6 +50,9 @@ pub struct JobFile {
     /// The collapse stage.
     #[serde(default)]
     pub collapse: CollapseTable,
+    /// The refit stage.
+    #[serde(default)]
+    pub refit: RefitTable,
     /// How the run reports.
     #[serde(default)]
     pub report: ReportTable,
@@ -105,6 +111,15 @@ pub struct CollapseTable {
     pub boundary_weight: Option<Weight>,
 }
 
+/// `[refit]`
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RefitTable {
+    /// Rounds in which the result's vertices move to where the scan is.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub rounds: Option<Rounds>,
+}
+
 /// `[report]`
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -115,11 +130,12 @@ pub struct ReportTable {
 }
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
-const KEYS: [(&str, &[&str]); 5] = [
+const KEYS: [(&str, &[&str]); 6] = [
     ("scan", &["input", "output", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch"]),
     ("cluster", &["representative"]),
     ("collapse", &["boundary_weight"]),
+    ("refit", &["rounds"]),
     ("report", &["json"]),
 ];
 

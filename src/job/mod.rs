@@ -3,8 +3,8 @@
 mod file;
 mod quantity;
 
-pub use file::{ClusterTable, CollapseTable, JobFile, ReportTable, RunTable, ScanTable};
-pub use quantity::{Count, Length, Ratio, Threads, Weight};
+pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
+pub use quantity::{Count, Length, Ratio, Rounds, Threads, Weight};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -18,6 +18,9 @@ pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
 
 /// How strongly open borders are held when nothing is said.
 pub const DEFAULT_BOUNDARY_WEIGHT: f64 = 1.0;
+
+/// Rounds of refit when nothing is said: the first one gives most, and takes about a tenth of the time.
+pub const DEFAULT_REFIT_ROUNDS: u32 = 1;
 
 /// How far to reduce.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,6 +77,8 @@ pub struct Job {
     pub representative: Representative,
     /// Weight of the constraint that holds open borders in place.
     pub boundary_weight: f64,
+    /// Rounds of refit.
+    pub refit_rounds: u32,
 }
 
 impl JobFile {
@@ -88,6 +93,7 @@ impl JobFile {
             scratch: self.run.scratch,
             representative: self.cluster.representative.unwrap_or_default(),
             boundary_weight: self.collapse.boundary_weight.map_or(DEFAULT_BOUNDARY_WEIGHT, |Weight(w)| w),
+            refit_rounds: self.refit.rounds.map_or(DEFAULT_REFIT_ROUNDS, |Rounds(n)| n),
         })
     }
 }
@@ -124,6 +130,7 @@ impl Job {
             },
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { boundary_weight: Some(Weight(self.boundary_weight)) },
+            refit: RefitTable { rounds: Some(Rounds(self.refit_rounds)) },
             report: ReportTable::default(),
         }
     }
@@ -149,9 +156,10 @@ mod tests {
     #[test]
     fn what_is_said_is_kept() {
         let job = job("ratio = '10%'\n[run]\nmemory = '1.5GiB'\nthreads = 3\nscratch = 's'\n[cluster]\n\
-                       representative = 'mean'\n[collapse]\nboundary_weight = 4");
+                       representative = 'mean'\n[collapse]\nboundary_weight = 4\n[refit]\nrounds = 0");
         assert_eq!((job.target, job.memory, job.threads), (Target::Ratio(0.1), Size(3 << 29), 3));
         assert_eq!((job.scratch_folder(), job.boundary_weight), (Path::new("s"), 4.0));
+        assert_eq!(job.refit_rounds, 0);
         assert_eq!(job.representative, Representative::Mean);
         assert_eq!(job.said().resolve().unwrap(), job);
     }

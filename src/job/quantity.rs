@@ -27,6 +27,11 @@ pub struct Length(pub f64);
 #[serde(transparent)]
 pub struct Threads(pub usize);
 
+/// A number of rounds, 0 to [`Rounds::MOST`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(transparent)]
+pub struct Rounds(pub u32);
+
 /// A factor of zero or more.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(transparent)]
@@ -108,6 +113,22 @@ impl FromStr for Threads {
         match text.trim().parse() {
             Ok(n) if (1..=Self::MOST).contains(&n) => Ok(Threads(n)),
             _ => Err(format!("`{text}` is not a number of threads from 1 to {}", Self::MOST)),
+        }
+    }
+}
+
+impl Rounds {
+    /// After some ten rounds nothing moves any more.
+    pub const MOST: u32 = 100;
+}
+
+impl FromStr for Rounds {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim().parse() {
+            Ok(n) if n <= Self::MOST => Ok(Rounds(n)),
+            _ => Err(format!("`{text}` is not a number of rounds from 0 to {}", Self::MOST)),
         }
     }
 }

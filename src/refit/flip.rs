@@ -11,6 +11,9 @@ use rayon::prelude::*;
 /// A flip must lower the squared error of its samples by this share: less is noise, and flips that undo one another.
 const LEAST_GAIN: f32 = 0.02;
 
+/// Distances below this share of an edge are rounding, and flat regions stay as they are.
+const ROUNDING: f32 = 1e-5;
+
 /// The least cosine between the normals of the new faces and of the old ones.
 const LEAST_COSINE: f32 = 0.5;
 
@@ -86,7 +89,8 @@ fn candidate<S: Coordinate>(
         after_sq += weight * distance_sq(would[0]).min(distance_sq(would[1]));
     }
     let gain = before_sq - after_sq;
-    (gain > LEAST_GAIN * before_sq).then_some(Flip { gain, faces: [f, g], quad: [u, b, v, a] })
+    let rounding_sq = ROUNDING * ROUNDING * was[0].length() * step(at(u), at(v)).length_squared();
+    (gain > LEAST_GAIN * before_sq + rounding_sq).then_some(Flip { gain, faces: [f, g], quad: [u, b, v, a] })
 }
 
 /// The one other face of the edge from `u` to `v` of face `f`, and its third vertex.

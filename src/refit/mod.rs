@@ -23,7 +23,7 @@ mod system;
 use crate::Result;
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
-use crate::progress::Progress;
+use crate::progress::{Progress, Stage};
 use glam::Vec3;
 use ground::Ground;
 use rayon::prelude::*;
@@ -67,6 +67,7 @@ pub fn refit<S: Coordinate>(
         fine.rebuild(&reference.mesh.faces, reference.mesh.positions.len());
     }
     let mut samples = Samples::default();
+    progress.begin(Stage::Refit, u64::from(rounds));
     for round in 0..rounds {
         progress.check()?;
         samples.assign(Ground { mesh, stars: &stars }, reference);
@@ -83,6 +84,7 @@ pub fn refit<S: Coordinate>(
         let steps = System { faces: &mesh.faces, stars: &stars, fixed: &fixed, blocks: &blocks }.solve();
         drop(blocks);
         take(mesh, steps);
+        progress.add(1);
     }
     Ok(())
 }
@@ -158,6 +160,9 @@ fn take<S: Coordinate>(mesh: &mut IndexedMesh<S>, mut steps: Vec<Vec3>) {
         *position = narrow(widen(*position) + step.as_dvec3());
     }
 }
+
+#[cfg(test)]
+mod tests;
 
 /// Bytes of arrays for a result of so many faces and vertices and a reference of so many.
 pub fn bytes<S: Coordinate>(result: (u64, u64), reference: (u64, u64)) -> u64 {
