@@ -26,6 +26,7 @@ pub(super) fn commit<S: Coordinate>(
     let error_sq = merge(surface, batch, leaders);
     rename(surface, batch);
     compact(surface, batch.spare());
+    surface.pieces.count(&surface.faces);
     if let Some(reference) = reference {
         let numbers = &batch.next;
         reference.homes.par_iter_mut().with_min_len(4096).filter(|home| **home != NONE).for_each(|home| {
@@ -85,7 +86,7 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
 
 /// Drops faces that are no more and vertices that no face uses.
 fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
-    let Surface { faces, costs, positions, learnt, current, marks, .. } = surface;
+    let Surface { faces, costs, positions, learnt, current, marks, pieces, .. } = surface;
     let mut kept = 0;
     for (number, mark) in numbers.iter_mut().zip(&mut *marks) {
         let used = *mark.get_mut() & USED != 0;
@@ -109,6 +110,7 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
             keep(learnt, numbers);
             keep(current, numbers);
             keep(positions, numbers);
+            keep(&mut pieces.of, numbers);
             keep_marks(marks, numbers);
         },
     );

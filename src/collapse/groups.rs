@@ -16,7 +16,8 @@ use std::sync::atomic::Ordering::Relaxed;
 pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, stride: Stride) {
     batch.begin(surface.positions.len(), NONE);
     let costs = prefer(batch, surface);
-    let limit = super::limit(&costs, (stride.share * costs.len() as f64) as u64);
+    let free = costs.par_iter().with_min_len(4096).filter(|cost| cost.is_finite()).count();
+    let limit = super::limit(&costs, (stride.share * free as f64) as u64);
     follow(batch, &costs, limit, stride.longest);
     drop(costs);
     settle(batch, surface);
@@ -28,6 +29,9 @@ fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) -> Vec<f32>
     let mut costs = vec![f32::INFINITY; surface.positions.len()];
     batch.next.par_iter_mut().zip(&mut costs).enumerate().with_min_len(1024).for_each(|(v, (best, cost))| {
         let v = v as u32;
+        if surface.pieces.is_small(v) {
+            return;
+        }
         let mut least = (u64::MAX, NONE);
         let mut look = |u: u32| {
             let cost = surface.rank(v, u);

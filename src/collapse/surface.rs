@@ -1,5 +1,6 @@
 //! The mesh while it is collapsed: its arrays, and what is asked of them at one edge.
 
+use super::pieces::Pieces;
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
@@ -25,6 +26,7 @@ pub(super) struct Surface<S> {
     /// from the target.
     pub current: Vec<[f32; 6]>,
     pub marks: Vec<AtomicU8>,
+    pub pieces: Pieces,
     pub stars: Stars,
 }
 
@@ -203,6 +205,21 @@ impl<S: Coordinate> Surface<S> {
         self.learnt = learnt.collect();
     }
 
+    /// What an edge's collapse costs, [`REFUSED`] at most.
+    #[inline(always)]
+    pub fn cost(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> f32 {
+        let cost = self.pieces.price(a, self.candidate(around, a, b, options).cost as f32);
+        if cost < REFUSED { cost } else { REFUSED }
+    }
+
+    /// Finds the pieces that the mesh falls into.
+    pub fn find_pieces(&mut self) {
+        let mesh =
+            IndexedMesh { positions: std::mem::take(&mut self.positions), faces: std::mem::take(&mut self.faces) };
+        self.pieces = Pieces::find(&mesh, |v| self.odd(v));
+        (self.positions, self.faces) = (mesh.positions, mesh.faces);
+    }
+
     /// The mesh as it is now, for a reference.
     pub fn reference(&self) -> Reference<S> {
         let mesh = IndexedMesh { positions: self.positions.clone(), faces: self.faces.clone() };
@@ -237,8 +254,7 @@ impl<S: Coordinate> Surface<S> {
                 if !this.answers_for(a, b) {
                     costs[i] = f32::INFINITY;
                 } else if none || stale(this.mark(a) | this.mark(b)) {
-                    let cost = this.candidate(&this.stars, a, b, options).cost as f32;
-                    costs[i] = if cost < REFUSED { cost } else { REFUSED };
+                    costs[i] = this.cost(&this.stars, a, b, options);
                 }
             }
         });

@@ -121,7 +121,7 @@ impl<S: Coordinate> Tail<'_, S> {
     }
 
     fn entry(&self, a: u32, b: u32) -> Entry {
-        let cost = self.surface.candidate(&self.overlay, a, b, self.options).cost as f32;
+        let cost = self.surface.cost(&self.overlay, a, b, self.options);
         Reverse((cost.to_bits(), order(a, b)))
     }
 
@@ -206,6 +206,7 @@ impl<S: Coordinate> Tail<'_, S> {
     }
 
     fn remove(&mut self, f: u32) {
+        self.surface.pieces.lose_face(self.surface.faces[f as usize][0]);
         for v in self.surface.faces[f as usize] {
             let mut star = self.overlay.of(v).to_vec();
             star.retain(|c| c >> 2 != f);

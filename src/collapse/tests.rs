@@ -253,3 +253,22 @@ fn carried_quadrics_are_used() {
     let carried = collapse(scan, Some(heavy), &options(400), &Progress::default()).unwrap();
     assert!(carried.error_estimate >= 0.1 && plain.error_estimate < 0.1);
 }
+
+#[test]
+fn a_speck_far_away_is_kept_and_one_close_by_goes() {
+    let mut scan = sphere(40, 0.002);
+    let mut speck = |x: f32| {
+        let n = scan.positions.len() as u32;
+        let corners = [[x, 0.0, 0.0], [x + 0.01, 0.0, 0.0], [x, 0.01, 0.0], [x, 0.0, 0.01]];
+        scan.positions.extend(corners);
+        scan.faces.extend([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]].map(|f| f.map(|v| v + n)));
+    };
+    speck(0.95);
+    speck(0.405);
+    for target in [4000, 400] {
+        let mesh = reduce(&scan, target).mesh;
+        let beyond = |least: f64| mesh.faces.iter().filter(|f| f.iter().all(|&v| mesh.at(v).x > least)).count();
+        assert_eq!((mesh.faces.len(), beyond(0.9)), (target, 4), "at {target}");
+    }
+    assert!(reduce(&scan, 0).mesh.faces.is_empty());
+}

@@ -1,0 +1,329 @@
+//! The pieces that a mesh falls into, and what losing one would cost.
+//!
+//! Quadrics know planes, not that a piece ends: a speck of a few faces costs next to nothing to flatten, though it may lie
+//! far from all else, and the distance from where it was to what is left is what deviation measures (an archive's CT scans
+//! have a thousand such pieces). So the collapse that would end a piece costs at least its *stake*: its area times the mean
+//! squared distance from it to the nearest other piece. Specks close to a surface go as before, those that float
+//! stay for as long as nothing else is cheaper to lose.
+
+use super::batch::NONE;
+use crate::mesh::{Coordinate, Extent, IndexedMesh, widen};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Vertices of a piece from which the nearest other piece is looked for.
+const PROBES: usize = 8;
+
+/// A piece of at most so many faces is left alone by rounds of groups, which could take it whole.
+const SMALL: u32 = 64;
+
+/// Which piece each vertex is in, and the pieces. 4 bytes a vertex where there is more than one.
+#[derive(Debug, Default)]
+pub(super) struct Pieces {
+    /// Empty where all is one piece; [`NONE`] for vertices without a face.
+    pub of: Vec<u32>,
+    list: Vec<Piece>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    faces: u32,
+    /// With so many faces or fewer, its next collapse ends it: a tetrahedron's leaves two faces back to back.
+    last: u32,
+    stake: f32,
+}
+
+impl Pieces {
+    /// Finds the pieces of a mesh. `is_odd` says of a vertex whether it is on a border.
+    pub fn find<S: Coordinate>(mesh: &IndexedMesh<S>, is_odd: impl Fn(u32) -> bool) -> Self {
+        let mut of = roots(mesh);
+        let mut list = Vec::new();
+        let mut numbers = vec![NONE; of.len()];
+        for &[v, ..] in &mesh.faces {
+            let root = of[v as usize] as usize;
+            if numbers[root] == NONE {
+                numbers[root] = list.len() as u32;
+                list.push(Piece { faces: 0, last: 4, stake: 0.0 });
+            }
+        }
+        if list.len() < 2 {
+            return Pieces::default();
+        }
+        for root in &mut of {
+            *root = numbers[*root as usize];
+        }
+        let mut pieces = Pieces { of, list };
+        pieces.count(&mesh.faces);
+        for v in 0..mesh.positions.len() as u32 {
+            let piece = pieces.of[v as usize];
+            if piece != NONE && is_odd(v) {
+                pieces.list[piece as usize].last = 2;
+            }
+        }
+        pieces.set_stakes(mesh);
+        pieces
+    }
+
+    /// Counts every piece's faces.
+    pub fn count(&mut self, faces: &[[u32; 3]]) {
+        if self.of.is_empty() {
+            return;
+        }
+        self.list.iter_mut().for_each(|piece| piece.faces = 0);
+        for face in faces {
+            self.list[self.of[face[0] as usize] as usize].faces += 1;
+        }
+    }
+
+    /// One face of the piece that `v` is in has gone.
+    pub fn lose_face(&mut self, v: u32) {
+        if let Some(&piece) = self.of.get(v as usize) {
+            self.list[piece as usize].faces -= 1;
+        }
+    }
+
+    /// What a collapse at `v` costs, stakes included.
+    #[inline(always)]
+    pub fn price(&self, v: u32, cost: f32) -> f32 {
+        let Some(&piece) = self.of.get(v as usize) else { return cost };
+        let piece = self.list[piece as usize];
+        if piece.faces <= piece.last && cost < piece.stake { piece.stake } else { cost }
+    }
+
+    /// Whether `v` is in a piece that groups could take whole.
+    #[inline(always)]
+    pub fn is_small(&self, v: u32) -> bool {
+        let piece = self.of.get(v as usize).and_then(|&piece| self.list.get(piece as usize));
+        piece.is_some_and(|piece| piece.faces <= SMALL)
+    }
+
+    /// The stake of every piece but the largest.
+    fn set_stakes<S: Coordinate>(&mut self, mesh: &IndexedMesh<S>) {
+        let mut areas = vec![0.0f64; self.list.len()];
+        for face in &mesh.faces {
+            let [a, b, c] = face.map(|v| mesh.at(v));
+            areas[self.of[face[0] as usize] as usize] += 0.5 * (b - a).cross(c - a).length();
+        }
+        let most = self.list.iter().map(|piece| piece.faces).max();
+        let largest = self.list.iter().position(|piece| Some(piece.faces) == most);
+        let probes = self.probes();
+        let places = Places::of(mesh);
+        let this = &*self;
+        let stakes: Vec<f32> = (0..this.list.len())
+            .into_par_iter()
+            .map(|i| {
+                if Some(i) == largest {
+                    return 0.0;
+                }
+                let other = |v: u32| this.of[v as usize] != i as u32;
+                let distances_sq =
+                    probes[i].iter().filter(|v| **v != NONE).map(|&v| places.nearest_sq(mesh.at(v), other));
+                let (sum, count) = distances_sq.fold((0.0, 0), |(sum, count), d| (sum + d, count + 1));
+                (areas[i] * sum / f64::from(count.max(1))) as f32
+            })
+            .collect();
+        for (piece, stake) in self.list.iter_mut().zip(stakes) {
+            piece.stake = if stake.is_finite() { stake } else { 0.0 };
+        }
+    }
+
+    /// Vertices of every piece, spread over its numbers.
+    fn probes(&self) -> Vec<[u32; PROBES]> {
+        let mut vertices = vec![0u32; self.list.len()];
+        let used = || self.of.iter().enumerate().filter(|(_, piece)| **piece != NONE);
+        for (_, &piece) in used() {
+            vertices[piece as usize] += 1;
+        }
+        let mut probes = vec![[NONE; PROBES]; self.list.len()];
+        let mut seen = vec![0u32; self.list.len()];
+        for (v, &piece) in used() {
+            let (seen, all) = (&mut seen[piece as usize], vertices[piece as usize]);
+            let slot = u64::from(*seen) * PROBES as u64 / u64::from(all);
+            probes[piece as usize][slot as usize] = v as u32;
+            *seen += 1;
+        }
+        probes
+    }
+}
+
+/// For every vertex the least vertex that faces join it to: itself where it has none.
+fn roots<S: Coordinate>(mesh: &IndexedMesh<S>) -> Vec<u32> {
+    let mut up: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    let root = |up: &mut [u32], mut v: u32| {
+        while up[v as usize] != v {
+            up[v as usize] = up[up[v as usize] as usize];
+            v = up[v as usize];
+        }
+        v
+    };
+    for &[a, b, c] in &mesh.faces {
+        let mut low = root(&mut up, a);
+        for v in [b, c] {
+            let r = root(&mut up, v);
+            up[low.max(r) as usize] = low.min(r);
+            low = low.min(r);
+        }
+    }
+    // A vertex's way up only falls, so that one step is enough when all before it are flat.
+    for v in 0..up.len() {
+        up[v] = up[up[v] as usize];
+    }
+    up
+}
+
+/// Positions in the order of a space-filling curve: a cube of space is a range of them.
+struct Places {
+    /// Curve key and vertex.
+    sorted: Vec<(u64, u32)>,
+    at: Vec<DVec3>,
+    low: DVec3,
+    side: f64,
+}
+
+/// Levels of the curve: cubes of 2⁻²¹ of the longest side.
+const LEVELS: u32 = 21;
+
+/// A cube with so few positions is looked through.
+const LEAF: usize = 8;
+
+impl Places {
+    fn of<S: Coordinate>(mesh: &IndexedMesh<S>) -> Self {
+        let mut extent = Extent::default();
+        mesh.positions.iter().for_each(|p| extent.include(widen(*p)));
+        let (low, side) = (extent.min, extent.size().max_element());
+        let cubes = f64::from(1u32 << LEVELS);
+        let key = |p: DVec3| {
+            let scaled = ((p - low) / side * cubes).clamp(DVec3::ZERO, DVec3::splat(cubes - 1.0));
+            spread(scaled.x as u64) | spread(scaled.y as u64) << 1 | spread(scaled.z as u64) << 2
+        };
+        let mut used = vec![false; mesh.positions.len()];
+        mesh.faces.iter().flatten().for_each(|&v| used[v as usize] = true);
+        let mut sorted: Vec<(u64, u32)> =
+            (0..mesh.positions.len() as u32).filter(|&v| used[v as usize]).map(|v| (key(mesh.at(v)), v)).collect();
+        sorted.par_sort_unstable();
+        let at = sorted.iter().map(|&(_, v)| mesh.at(v)).collect();
+        Places { sorted, at, low, side }
+    }
+
+    /// The squared distance to the nearest position that counts; infinite if none does.
+    fn nearest_sq(&self, from: DVec3, counts: impl Fn(u32) -> bool) -> f64 {
+        let mut best = f64::INFINITY;
+        self.search(from, &counts, (0, self.sorted.len()), LEVELS, self.low, &mut best);
+        best
+    }
+
+    fn search(
+        &self,
+        from: DVec3,
+        counts: &impl Fn(u32) -> bool,
+        (begin, end): (usize, usize),
+        level: u32,
+        corner: DVec3,
+        best: &mut f64,
+    ) {
+        if end - begin <= LEAF || level == 0 {
+            for i in begin..end {
+                let distance_sq = self.at[i].distance_squared(from);
+                if distance_sq < *best && counts(self.sorted[i].1) {
+                    *best = distance_sq;
+                }
+            }
+            return;
+        }
+        let side = self.side * 0.5f64.powi((LEVELS - level + 1) as i32);
+        let mut children = [(f64::INFINITY, (0, 0), corner); 8];
+        let mut at = begin;
+        for (i, child) in children.iter_mut().enumerate() {
+            let shift = 3 * (level - 1);
+            let stop = at + self.sorted[at..end].partition_point(|&(key, _)| (key >> shift) & 7 <= i as u64);
+            let low = corner + side * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
+            if stop > at {
+                *child = (from.distance_squared(from.clamp(low, low + side)), (at, stop), low);
+            }
+            at = stop;
+        }
+        children.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (distance_sq, range, low) in children {
+            if distance_sq < *best {
+                self.search(from, counts, range, level - 1, low, best);
+            }
+        }
+    }
+}
+
+/// Every third bit.
+fn spread(x: u64) -> u64 {
+    let mut x = x & 0x1f_ffff;
+    x = (x | x << 32) & 0x1f_0000_0000_ffff;
+    x = (x | x << 16) & 0x1f_0000_ff00_00ff;
+    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `count` tetrahedra of that size, in places that a hash chooses.
+    fn dust(count: u32, size: f32) -> IndexedMesh<f32> {
+        let mut mesh = IndexedMesh::default();
+        for i in 0..count {
+            let h = |s: u32| ((i * 4 + s).wrapping_mul(2_654_435_761) >> 8) as f32 / (1u32 << 24) as f32;
+            let at = [h(1), h(2), 3.0 * h(3)];
+            let n = mesh.positions.len() as u32;
+            for corner in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+                mesh.positions.push([0, 1, 2].map(|k| at[k] + size * corner[k]));
+            }
+            mesh.faces.extend([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]].map(|f| f.map(|v| v + n)));
+        }
+        mesh
+    }
+
+    #[test]
+    fn the_nearest_vertex_that_counts_is_found() {
+        let mesh = dust(300, 0.01);
+        let places = Places::of(&mesh);
+        for v in (0..1200).step_by(7) {
+            let counts = |u: u32| u / 4 != v / 4 && !u.is_multiple_of(3);
+            let all = (0..1200).filter(|&u| counts(u)).map(|u| mesh.at(u).distance_squared(mesh.at(v)));
+            assert_eq!(places.nearest_sq(mesh.at(v), counts), all.fold(f64::INFINITY, f64::min));
+        }
+        assert_eq!(places.nearest_sq(DVec3::ZERO, |_| false), f64::INFINITY);
+    }
+
+    #[test]
+    fn pieces_are_found_whatever_the_order_of_faces() {
+        let mut mesh = dust(50, 0.01);
+        // Joined to one chain from its end to its beginning, and one piece apart.
+        for i in (1..49u32).rev() {
+            mesh.faces.insert(i as usize * 3, [4 * i + 3, 4 * i - 2, 4 * i]);
+        }
+        mesh.positions.push([0.0; 3]);
+        let pieces = Pieces::find(&mesh, |_| false);
+        let last = pieces.of[196];
+        assert!((0..196).all(|v| pieces.of[v] == pieces.of[0]) && last != pieces.of[0]);
+        assert_eq!((pieces.list.len(), pieces.list[last as usize].faces, pieces.of[200]), (2, 4, NONE));
+        assert!(Pieces::find(&dust(1, 0.1), |_| false).of.is_empty());
+    }
+
+    #[test]
+    fn the_last_collapse_of_a_piece_costs_its_stake() {
+        let mut mesh = dust(2, 0.125);
+        for v in 0..8 {
+            let offset = if v < 4 { 0.0 } else { 2.0 };
+            mesh.positions[v] = mesh.positions[v % 4].map(|x| x + offset);
+        }
+        mesh.faces.extend([[0, 1, 2], [0, 1, 2]]);
+        let mut pieces = Pieces::find(&mesh, |_| false);
+        // Half of three squares' halves and the slanted face; about 3.46 away.
+        let area = 0.125 * 0.125 * (1.5 + 0.75f64.sqrt());
+        let stake = f64::from(pieces.price(5, 0.0));
+        assert!(stake > area * 3.1 * 3.1 && stake < area * 3.5 * 3.5, "{stake}");
+        assert_eq!((pieces.price(5, 1e3), pieces.price(0, 0.0)), (1e3, 0.0));
+        pieces.list[1].faces = 5;
+        assert_eq!(pieces.price(5, 0.0), 0.0);
+        pieces.lose_face(6);
+        assert!(pieces.price(5, 0.0) > 0.0);
+    }
+}
