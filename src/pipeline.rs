@@ -140,13 +140,14 @@ impl Run<'_> {
     ) -> Result<Intermediate<S>> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         loop {
-            let (raw_faces, spill_resident_bytes) = self.purse.cluster_options::<S>(cells);
+            let (raw_faces, spill_resident_bytes, limit) = self.purse.cluster_options::<S>(cells);
             let options = ClusterOptions {
                 representative: self.job.representative,
                 cells,
                 raw_faces,
                 spill_resident_bytes,
                 boundary_weight: self.job.boundary_weight,
+                limit,
             };
             self.progress.begin(Stage::Cluster, 0);
             let scratch = Scratch::in_folder(self.job.scratch_folder());

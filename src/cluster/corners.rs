@@ -43,8 +43,8 @@ pub(super) struct Feed<K> {
     faces: Vec<[Corner; 3]>,
     /// Faces that repeat a corner.
     pub(super) repeated: u64,
-    /// The first vertex that a face uses and that is nowhere.
-    pub(super) nowhere: Option<u32>,
+    /// The first vertex (of a soup: corner) that a face uses and that is nowhere.
+    pub(super) nowhere: Option<u64>,
 }
 
 impl<K: Sink> Feed<K> {
@@ -67,7 +67,7 @@ impl<K: Sink> Feed<K> {
     }
 
     #[cold]
-    pub(super) fn miss(&mut self, vertex: u32) {
+    pub(super) fn miss(&mut self, vertex: u64) {
         self.nowhere = Some(self.nowhere.map_or(vertex, |v| v.min(vertex)));
     }
 
@@ -82,7 +82,7 @@ impl<K: Sink> Feed<K> {
         if face.contains(&Corner::NOWHERE) {
             for (vertex, corner) in [a, b, c].into_iter().zip(face) {
                 if corner == Corner::NOWHERE {
-                    self.miss(vertex);
+                    self.miss(vertex.into());
                 }
             }
             return Ok(());
@@ -153,9 +153,9 @@ fn soup<K: Sink>(
     table: &CellTable,
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<K>>> {
-    let bin = |p: [f64; 3]| {
-        let steps = grid.steps(p)?;
-        Some(Corner::new(table.number(steps)?, steps))
+    let bin = |p: [f64; 3]| match grid.steps(p) {
+        Some(steps) => table.number(steps).map(|cell| Corner::new(cell, steps)),
+        None => Some(Corner::NOWHERE),
     };
     scan.soup(
         crew,
@@ -164,11 +164,15 @@ fn soup<K: Sink>(
             if table.is_full() {
                 return Ok(());
             }
-            for &[a, b, c] in chunk.triangles {
+            for (i, &[a, b, c]) in chunk.triangles.iter().enumerate() {
                 if a == b || b == c || c == a {
                     feed.repeated += 1;
                 } else if let (Some(a), Some(b), Some(c)) = (bin(a), bin(b), bin(c)) {
-                    feed.push([a, b, c]);
+                    let face = [a, b, c];
+                    match face.iter().position(|corner| *corner == Corner::NOWHERE) {
+                        None => feed.push(face),
+                        Some(corner) => feed.miss(3 * (chunk.first + i as u64) + corner as u64),
+                    }
                 }
             }
             Ok(())

@@ -4,7 +4,7 @@
 //! normals (four at a time), sums. One face at a time would wait for its own square root and division.
 
 use super::corners::{BATCH, Sink};
-use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
+use super::grid::{Corner, LOCAL_BITS, STEPS, absolute, coordinates, is_far};
 use super::sums::{Gatherer, Share, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
@@ -149,7 +149,12 @@ impl Batch {
         for i in inside..end {
             let face = self.faces[i];
             let local = face.map(Corner::local);
-            let at = face.map(|corner| coordinates(table.key(corner.cell())));
+            let keys = face.map(|corner| table.key(corner.cell()));
+            if is_far(keys[0] | keys[1] | keys[2]) {
+                [self.x[i], self.y[i], self.z[i]] = far_cross(face, keys);
+                continue;
+            }
+            let at = keys.map(coordinates);
             let edge = |to: usize| -> [i64; 3] {
                 std::array::from_fn(|k| ((at[to][k] - at[0][k]) << LOCAL_BITS) + i64::from(local[to][k] - local[0][k]))
             };
@@ -175,6 +180,18 @@ impl Batch {
             *w = (length * quanta).max(1.0);
         }
     }
+}
+
+/// The cross product of a face with a corner in a far cell, made shorter where its square would overflow: its weight is
+/// beyond all bounds anyway.
+#[cold]
+fn far_cross(face: [Corner; 3], keys: [u64; 3]) -> [f32; 3] {
+    let p: [[i64; 3]; 3] = std::array::from_fn(|corner| absolute(face[corner], keys[corner]));
+    let edge = |to: usize| -> [i64; 3] { std::array::from_fn(|axis| p[to][axis] - p[0][axis]) };
+    let (u, v) = (edge(1), edge(2));
+    let cross = glam::Vec3::new(wide(u, v, 1, 2), wide(u, v, 2, 0), wide(u, v, 0, 1)) * CROSS_SCALE;
+    let excess = cross.abs().max_element() / (1u64 << 60) as f32;
+    (cross / excess.max(1.0)).to_array()
 }
 
 #[cold]

@@ -271,7 +271,7 @@ impl Sweep<'_> {
         for (corner, vertex) in face[known..].iter_mut().zip(vertices) {
             match self.corners.get(vertex.wrapping_sub(self.first) as usize) {
                 Some(found) if *found == Corner::NOWHERE => {
-                    feed.miss(*vertex);
+                    feed.miss(u64::from(*vertex));
                     return Ok(());
                 }
                 Some(found) => *corner = *found,

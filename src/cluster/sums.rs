@@ -13,6 +13,7 @@
 use glam::{Vec3A, Vec4, Vec4Swizzles};
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 /// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
@@ -35,6 +36,10 @@ const NOBODY: u32 = u32::MAX;
 
 /// Bytes of a cell's line.
 pub(super) const LINE_BYTES: usize = size_of::<Line>();
+/// One cell in so many may have sums in the side table, which takes about 150 bytes for each while it grows.
+const ASIDE: usize = 32;
+/// Bytes of the side table for each cell.
+pub(super) const SIDE_BYTES: usize = 5;
 /// Bytes of a worker's cache.
 pub(super) const CACHE_BYTES: usize = CACHED * (size_of::<Cached>() + 4);
 
@@ -46,6 +51,7 @@ struct Line(Mutex<[i32; LANES]>);
 pub(super) struct Sums {
     lines: Vec<Line>,
     side: Mutex<FxHashMap<u32, [i64; LANES]>>,
+    overflowed: AtomicBool,
 }
 
 /// One face's share in a cell, in quanta: about the cell's centre, lengths in cells. Single precision is finer than the
@@ -139,7 +145,12 @@ impl Sums {
     pub(super) fn new(cells: usize) -> Self {
         let mut lines = Vec::new();
         lines.resize_with(cells, Line::default);
-        Sums { lines, side: Mutex::default() }
+        Sums { lines, side: Mutex::default(), overflowed: AtomicBool::new(false) }
+    }
+
+    /// Whether more cells have outgrown their lines than there is room for: a larger unit of weight is needed.
+    pub(super) fn overflowed(&self) -> bool {
+        self.overflowed.load(Relaxed)
     }
 
     /// Adds a cached line to its owner's and empties it.
@@ -162,6 +173,9 @@ impl Sums {
     #[cold]
     fn add_aside(&self, cell: u32, lanes: &[i64; LANES]) {
         let mut side = self.side.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if side.len() > self.lines.len() / ASIDE + 1024 {
+            return self.overflowed.store(true, Relaxed);
+        }
         let sums = side.entry(cell).or_insert([0; LANES]);
         for (sum, x) in sums.iter_mut().zip(lanes) {
             *sum = sum.wrapping_add(*x);

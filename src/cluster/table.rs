@@ -148,11 +148,6 @@ impl CellTable {
         None
     }
 
-    /// Blocks met so far.
-    pub(super) fn blocks(&self) -> usize {
-        self.taken.load(Relaxed) as usize
-    }
-
     /// Cells met so far.
     pub(super) fn len(&self) -> usize {
         (self.cells.load(Relaxed) as usize).min(self.keys.len())
@@ -220,9 +215,9 @@ pub(super) fn mix(key: u64) -> u64 {
     (hash ^ hash >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93)
 }
 
-/// A block key's coordinates, interleaved.
+/// A block key's coordinates, interleaved; what is above them stays there.
 fn morton(key: u64) -> u64 {
-    let mut code = 0;
+    let mut code = key >> (3 * BLOCK_BITS) << (3 * BLOCK_BITS);
     for bit in 0..BLOCK_BITS {
         for axis in 0..3 {
             code |= (key >> (axis * BLOCK_BITS + bit) & 1) << (3 * bit + axis);
