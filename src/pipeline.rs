@@ -208,9 +208,11 @@ impl Run<'_> {
             }
         };
         say(self.scan.trailing_bytes(), |bytes| Warning::TrailingBytes { bytes });
+        say(self.scan.short_polygons(), |faces| Warning::ShortPolygons { faces });
         match source {
             Source::Loaded(report) => {
                 say(report.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
+                say(report.flat_faces, |faces| Warning::FlatFaces { faces });
                 say(report.unreferenced_vertices, |vertices| Warning::UnreferencedVertices { vertices });
                 say(report.duplicate_vertices, |vertices| Warning::DuplicateVertices { vertices });
                 if let Some(asked) = asked.filter(|&n| n >= faces as u64) {
@@ -219,6 +221,8 @@ impl Run<'_> {
             }
             Source::Clustered(stats) => {
                 say(stats.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
+                say(stats.flat_faces, |faces| Warning::FlatFaces { faces });
+                say(stats.unreferenced_vertices.unwrap_or(0), |vertices| Warning::UnreferencedVertices { vertices });
                 if stats.overflows > 0 {
                     warnings.push(Warning::CoarsenedGrid { times: stats.overflows, cells: stats.occupied_cells });
                 }

@@ -8,6 +8,7 @@ use super::grid::{Corner, Grid};
 use super::join;
 use super::spill::{PageCache, Spill, SpillFile};
 use super::table::CellTable;
+use super::used::Used;
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
@@ -73,11 +74,17 @@ impl<K: Sink> Feed<K> {
 
     /// Resolves a triangle's corners and takes it along, unless it repeats a vertex or a corner is nowhere.
     #[inline(always)]
-    fn gather(&mut self, [a, b, c]: [u32; 3], mut corner: impl FnMut(u32) -> Result<Corner>) -> Result<()> {
+    fn gather(
+        &mut self,
+        [a, b, c]: [u32; 3],
+        used: &Used,
+        mut corner: impl FnMut(u32) -> Result<Corner>,
+    ) -> Result<()> {
         if a == b || b == c || c == a {
             self.repeated += 1;
             return Ok(());
         }
+        [a, b, c].into_iter().for_each(|vertex| used.add(vertex));
         let face = [corner(a)?, corner(b)?, corner(c)?];
         if face.contains(&Corner::NOWHERE) {
             for (vertex, corner) in [a, b, c].into_iter().zip(face) {
@@ -109,11 +116,12 @@ pub(super) fn bin_vertices(scan: &Scan, crew: &Crew, grid: &Grid, table: &CellTa
     Ok(())
 }
 
-/// Streams every face of the scan to sinks, one a worker.
+/// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
 pub(super) fn stream<K: Sink>(
     scan: &Scan,
     crew: &Crew,
     corners: &Corners,
+    used: &Used,
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<K>>> {
     let mut feeds = match corners {
@@ -122,7 +130,7 @@ pub(super) fn stream<K: Sink>(
             || Feed::new(sink()),
             |feed, chunk| {
                 for triangle in chunk.triangles {
-                    feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                    feed.gather(*triangle, used, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
                 }
                 Ok(())
             },
@@ -131,14 +139,14 @@ pub(super) fn stream<K: Sink>(
             let worker = || (Feed::new(sink()), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
-                    feed.gather(*triangle, |v| pages.get(v))?;
+                    feed.gather(*triangle, used, |v| pages.get(v))?;
                 }
                 Ok(())
             })?;
             feeds.into_iter().map(|(feed, _)| feed).collect()
         }
         Corners::Joined { spill, scratch, resident_bytes } => {
-            join::stream(scan, crew, spill, scratch, *resident_bytes, sink)?
+            join::stream(scan, crew, (spill, used), scratch, *resident_bytes, sink)?
         }
         Corners::Soup(grid, table) => soup(scan, crew, grid, table, sink)?,
     };

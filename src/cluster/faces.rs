@@ -18,6 +18,8 @@ pub(super) struct FaceWorker<'a> {
     batch: Box<Batch>,
     /// Quanta of weight for a cross product of length one.
     quanta: f32,
+    /// Faces without area.
+    pub(super) flat_faces: u64,
     /// Whether faces that follow one another are expected in the same cells.
     coherent: bool,
 }
@@ -55,6 +57,7 @@ impl<'a> FaceWorker<'a> {
             appender: Appender::new(survivors),
             batch: Box::new(Batch { faces, x: [0.0; BATCH], y: [0.0; BATCH], z: [0.0; BATCH], w: [0.0; BATCH] }),
             quanta: (0.5 / (STEPS * STEPS * quantum) / f64::from(CROSS_SCALE)) as f32,
+            flat_faces: 0,
             coherent,
         }
     }
@@ -97,7 +100,7 @@ impl Sink for FaceWorker<'_> {
         let inside = self.batch.sort_apart(faces);
         self.batch.cross_inside(inside);
         self.batch.cross_across(inside, faces.len(), self.table);
-        self.batch.normalise(faces.len(), self.quanta);
+        self.flat_faces += u64::from(self.batch.normalise(faces.len(), self.quanta));
         if !self.coherent {
             self.gatherer.fetch(self.batch.faces[..faces.len()].as_flattened().iter().map(|corner| corner.cell()));
         }
@@ -169,8 +172,9 @@ impl Batch {
     }
 
     /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still
-    /// counts a quantum: the mean of a cell with such faces only is defined.
-    fn normalise(&mut self, end: usize, quanta: f32) {
+    /// counts a quantum: the mean of a cell with such faces only is defined. Returns how many there are.
+    fn normalise(&mut self, end: usize, quanta: f32) -> u32 {
+        let mut flat = 0;
         let (x, y, z, w) = (&mut self.x[..end], &mut self.y[..end], &mut self.z[..end], &mut self.w[..end]);
         for (((x, y), z), w) in x.iter_mut().zip(y).zip(z).zip(w) {
             let length = (*x * *x + *y * *y + *z * *z).sqrt();
@@ -178,7 +182,9 @@ impl Batch {
             let inverse = 1.0 / length.max(0.5 * CROSS_SCALE);
             (*x, *y, *z) = (*x * inverse, *y * inverse, *z * inverse);
             *w = (length * quanta).max(1.0);
+            flat += u32::from(length == 0.0);
         }
+        flat
     }
 }
 

@@ -47,6 +47,7 @@ mod sums;
 mod survey;
 mod survivors;
 mod table;
+mod used;
 
 use crate::error::{Error, Result};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
@@ -63,6 +64,7 @@ use spill::Spill;
 use sums::{Sums, Totals};
 use survivors::Survivors;
 use table::CellTable;
+use used::Used;
 
 /// Where a cell's representative goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -137,6 +139,10 @@ pub struct ClusterStats {
     pub overflows: u32,
     /// Faces that repeat a corner in the scan itself.
     pub repeated_corner_faces: u64,
+    /// Faces without area, as far as the 8192nd part of a cell shows it, whose corners differ.
+    pub flat_faces: u64,
+    /// Vertices that no face uses but such as repeat a corner; `None` where there was no room to count them.
+    pub unreferenced_vertices: Option<u64>,
     /// Faces with corners in three cells, coincident ones included.
     pub surviving_faces: u64,
     /// Pairs of coincident faces of opposite orientation that were taken out.
@@ -240,10 +246,12 @@ impl Run<'_> {
         let grid = Grid::new(self.place, self.place.side(sizing) * doubled);
         let room = room(self.options.cells);
         let table = CellTable::new(room);
+        let used = Used::within(self.scan, self.options.spill_resident_bytes);
+        let resident_bytes = self.options.spill_resident_bytes - used.bytes();
         let mut spill = None;
         let mut cells = sizing.occupied(grid.cell).max(1.0);
         if self.scan.layout() == Layout::Indexed {
-            let s = Spill::new(self.scan.vertex_count(), self.options.spill_resident_bytes, self.scratch)?;
+            let s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
             corners::bin_vertices(self.scan, self.crew, &grid, &table, &s)?;
             if table.is_full() {
                 drop((table, s));
@@ -256,9 +264,12 @@ impl Run<'_> {
         let sums = Sums::new(if spill.is_some() { table.len() } else { room });
         let survivors = Survivors::new(self.options.raw_faces);
         let worker = || FaceWorker::new(&table, &sums, &survivors, quantum, self.coherent);
-        let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+        let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &used, worker)?;
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
+        self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
+        self.stats.unreferenced_vertices = used.unused(self.scan.vertex_count());
+        drop(used);
         for mut feed in feeds {
             feed.sink.flush();
         }
@@ -343,7 +354,7 @@ impl Run<'_> {
         for ranks_together in border::shares(&open, self.open_at_once(triples.len(), ranks.len())) {
             let borders = Borders::new(&open, &ranks, ranks_together);
             let worker = || BorderWorker { table: &table, borders: &borders };
-            corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+            corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &Used::nothing(), worker)?;
             borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
         drop(spill);

@@ -105,6 +105,9 @@ impl Sizing {
 
     /// Learns that at `side`, `cells` cells and `blocks` blocks hold a vertex.
     pub(super) fn learn(&mut self, side: f64, cells: f64, blocks: f64) {
+        // A soup does not say how many vertices it has.
+        let faces = self.scale * self.areas.len() as f64;
+        self.vertices = self.vertices.max(1.2 * cells / faces.max(1.0));
         // Each count says how much surface there is at its scale; what matters is the one that is nearer its limit.
         self.correction = if blocks / self.blocks > cells / self.cells {
             self.correction_for(4.0 * side, blocks)

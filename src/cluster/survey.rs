@@ -26,6 +26,11 @@ const STRAY: f64 = 64.0;
 /// Cells, and blocks, that are counted one by one: the count of all is then within 1 %.
 const COUNTED: usize = 1 << 15;
 
+/// Corners of a soup's faces that count: on a surface nearly every vertex is the first corner of a face. Where that has
+/// misled, all of them.
+const LEADING: usize = 1;
+const ALL: usize = 3;
+
 /// A turn of counting ends the survey when it changes the side by less than this factor.
 const NEAR_ENOUGH: f64 = 1.08;
 /// Turns at most.
@@ -35,7 +40,7 @@ const TURNS: usize = 4;
 pub(super) fn survey(scan: &Scan, crew: &Crew, sample: &Sample, cells: usize) -> Result<(Place, Sizing)> {
     let mut bulk = bulk(sample);
     if bulk.size().max_element() <= 0.0 || !bulk.size().is_finite() {
-        bulk = pass(scan, crew, None)?.extent;
+        bulk = pass(scan, crew, None, LEADING)?.extent;
         bulk.check(scan.path())?;
     }
     let frame = Frame::of(&bulk);
@@ -43,7 +48,7 @@ pub(super) fn survey(scan: &Scan, crew: &Crew, sample: &Sample, cells: usize) ->
     let mut place = Place::about(frame, &bulk);
     let mut side = place.side(&sizing);
     for turn in 0..TURNS {
-        let found = pass(scan, crew, Some(&Grid::new(place, side)))?;
+        let found = pass(scan, crew, Some(&Grid::new(place, side)), LEADING)?;
         if turn == 0 && found.extent.size().max_element() <= STRAY * bulk.size().max_element() {
             place = Place::within(frame, &found.extent);
         }
@@ -59,7 +64,7 @@ pub(super) fn survey(scan: &Scan, crew: &Crew, sample: &Sample, cells: usize) ->
 
 /// Counts the cells and blocks that hold a vertex, within 1 %.
 pub(super) fn count(scan: &Scan, crew: &Crew, grid: &Grid) -> Result<(f64, f64)> {
-    pass(scan, crew, Some(grid)).map(|found| (found.cells, found.blocks))
+    pass(scan, crew, Some(grid), ALL).map(|found| (found.cells, found.blocks))
 }
 
 /// The box that holds all but strays of the sample's corners, and half as much to each side.
@@ -92,7 +97,8 @@ struct Found {
 }
 
 /// The extent of all finite vertices, and with a grid the number of its cells and blocks that hold one.
-fn pass(scan: &Scan, crew: &Crew, grid: Option<&Grid>) -> Result<Found> {
+/// The vertices of a soup are counted from the first `corners` corners of its faces.
+fn pass(scan: &Scan, crew: &Crew, grid: Option<&Grid>, corners: usize) -> Result<Found> {
     let see = |seen: &mut Seen, p: &[f64; 3]| {
         if let Some(steps) = grid.and_then(|grid| grid.steps(*p)) {
             seen.cells.add(cell_key(steps));
@@ -107,11 +113,10 @@ fn pass(scan: &Scan, crew: &Crew, grid: Option<&Grid>) -> Result<Found> {
             }
             Ok(())
         })?,
-        // Nearly every vertex is the first corner of a face.
         Layout::Soup => scan.soup(crew, Seen::default, |seen, chunk| {
-            for corners in chunk.triangles {
-                corners.iter().for_each(|p| seen.extent.include(DVec3::from(*p)));
-                see(seen, &corners[0]);
+            for face in chunk.triangles {
+                face.iter().for_each(|p| seen.extent.include(DVec3::from(*p)));
+                face.iter().take(corners).for_each(|p| see(seen, p));
             }
             Ok(())
         })?,
