@@ -140,7 +140,7 @@ impl Run<'_> {
     ) -> Result<Intermediate<S>> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         loop {
-            let (raw_faces, spill_resident_bytes, limit) = self.purse.cluster_options::<S>(cells);
+            let (raw_faces, spill_resident_bytes, limit) = self.purse.cluster_options::<S>(self.scan, cells);
             let options = ClusterOptions {
                 representative: self.job.representative,
                 cells,

@@ -6,10 +6,10 @@
 //! | | resident |
 //! |---|---|
 //! | always | 12 MiB (program, stacks, allocator) |
-//! | while streaming | what a pass maps and decodes: a quarter of the budget is set aside, at most eight workers' needs |
+//! | while streaming | what a pass maps and decodes, and windows on a spill: a quarter, at most what eight workers need |
 //! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
-//! | out of core, binning and summing | 126 a cell ([`cluster::bytes`]), 12 a surviving face, and the binned vertices, 8 each, where they fit in what is left |
-//! | out of core, placing | 153 a cell (165), 12 a face; nothing is streaming any more |
+//! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
+//! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
 //! | collapse | 36 a face, 109 a vertex (133), and a tenth: about 100 a face on closed scans |
 //!
 //! Out of core the collapse decides how many cells there are: 200 bytes each, two faces a cell. Scans differ, so the
@@ -105,10 +105,10 @@ impl Purse {
 
     /// The cells for a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
     pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Cells> {
-        let most_cells = self.most_cells::<S>();
+        let most_cells = self.most_cells::<S>(scan.layout());
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
-            let enough = least_budget(|purse| purse.most_cells::<S>() >= least_cells);
+            let enough = least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
             let needed_bytes = enough.min(in_core_budget::<S>(scan));
             let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
             let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
@@ -119,11 +119,14 @@ impl Purse {
     }
 
     /// The most cells that clustering, and the collapse of what comes of it, have room for.
-    fn most_cells<S: Coordinate>(&self) -> usize {
+    fn most_cells<S: Coordinate>(&self, layout: Layout) -> usize {
         let fits = |cells: usize| {
             let n = cells as u64;
-            clustering_bytes::<S>(cells) <= self.while_streaming()
-                && collapse::bytes::<S>(2 * n + n / 64, n) <= self.for_collapse()
+            let faces = 2 * n + n / 64;
+            let survivors = (SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64 * n;
+            cluster::summing_bytes(cells, layout) + survivors <= self.while_streaming()
+                && cluster::placing_bytes(cells, S::DOUBLE) + 12 * faces <= self.for_arrays()
+                && collapse::bytes::<S>(faces, n) <= self.for_collapse()
         };
         let (mut low, mut high) = (0, cluster::MAX_CELLS + 1);
         while high - low > 1 {
@@ -134,9 +137,13 @@ impl Purse {
     }
 
     /// What clustering into so many cells may use: survivors, bytes of binned vertices, and the mesh that may come of it.
-    pub fn cluster_options<S: Coordinate>(&self, cells: usize) -> (usize, u64, MeshLimit) {
+    pub fn cluster_options<S: Coordinate>(&self, scan: &Scan, cells: usize) -> (usize, u64, MeshLimit) {
         let raw_faces = SURVIVORS_A_CELL * cells;
-        let left = self.while_streaming().saturating_sub(clustering_bytes::<S>(cells));
+        let taken = cluster::summing_bytes(cells, scan.layout()) + (raw_faces * cluster::BYTES_PER_RAW_FACE) as u64;
+        let left = self.while_streaming().saturating_sub(taken);
+        // Binned vertices that are all resident need no windows on a spill.
+        let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
+        let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
         let (face_bytes, vertex_bytes) = (collapse::bytes::<S>(1, 0), collapse::bytes::<S>(0, 1));
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse() })
     }
@@ -144,17 +151,17 @@ impl Purse {
 
 /// What so many workers of a streaming pass take.
 fn streaming_bytes(workers: usize) -> u64 {
-    Crew::stream_bytes(workers) + (workers * cluster::bytes_per_worker()) as u64
-}
-
-/// What clustering takes for `cells` cells, the binned vertices aside.
-fn clustering_bytes<S: Coordinate>(cells: usize) -> u64 {
-    cluster::bytes(cells, S::DOUBLE) + (cells * SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64
+    Crew::stream_bytes(workers) + (workers * (cluster::bytes_per_worker() + cluster::bytes_per_spill_worker())) as u64
 }
 
 /// What is set aside for streaming.
 fn aside(bytes: u64) -> u64 {
     (bytes / 4).min(streaming_bytes(8))
+}
+
+/// The same where no spill is looked into.
+fn aside_without_spill(bytes: u64) -> u64 {
+    aside(bytes).min(streaming_bytes(8) - 8 * cluster::bytes_per_spill_worker() as u64)
 }
 
 /// Cells for an intermediate mesh of `ratio` times `target` faces.

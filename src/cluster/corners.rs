@@ -17,6 +17,9 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
 pub(super) const BATCH: usize = 512;
 
+/// Faces or vertices from anywhere that are looked up together, so that the waits for memory overlap.
+const AT_ONCE: usize = 64;
+
 /// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
 pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + (16 << 10) * size_of::<Corner>();
 
@@ -29,7 +32,7 @@ pub(super) trait Sink: Send {
 /// Where a face's corners come from.
 pub(super) enum Corners<'a> {
     /// From memory.
-    Resident(&'a [AtomicU64]),
+    Resident { all: &'a [AtomicU64], coherent: bool },
     /// From a spill file through a page cache a worker.
     Paged(&'a SpillFile),
     /// From a spill file by a join that may hold `resident_bytes` of it.
@@ -100,7 +103,14 @@ impl<K: Sink> Feed<K> {
 }
 
 /// Bins every vertex into the spill. Check the table afterwards: when it is full, the spill is worth nothing.
-pub(super) fn bin_vertices(scan: &Scan, crew: &Crew, grid: &Grid, table: &CellTable, spill: &Spill) -> Result<()> {
+/// `coherent` vertices follow one another in space.
+pub(super) fn bin_vertices(
+    scan: &Scan,
+    crew: &Crew,
+    (grid, table): (&Grid, &CellTable),
+    coherent: bool,
+    spill: &Spill,
+) -> Result<()> {
     let bin = |p: &[f64; 3]| match grid.steps(*p) {
         Some(steps) => Corner::new(table.number(steps).unwrap_or(0), steps),
         None => Corner::NOWHERE,
@@ -110,10 +120,25 @@ pub(super) fn bin_vertices(scan: &Scan, crew: &Crew, grid: &Grid, table: &CellTa
             return Ok(());
         }
         corners.clear();
-        corners.extend(chunk.positions.iter().map(bin));
+        if coherent {
+            corners.extend(chunk.positions.iter().map(bin));
+        } else {
+            for positions in chunk.positions.chunks(AT_ONCE) {
+                table.fetch_numbers(positions.iter().filter_map(|p| grid.steps(*p)));
+                corners.extend(positions.iter().map(bin));
+            }
+        }
         spill.write(chunk.first, corners)
     })?;
     Ok(())
+}
+
+/// Has corners that lie anywhere brought near, so that the waits for them overlap.
+#[inline(always)]
+fn fetch(all: &[AtomicU64], used: &Used, triangles: &[[u32; 3]]) {
+    let near = |v: u32| all[v as usize].load(Relaxed) | used.word(v);
+    let gathered = triangles.as_flattened().iter().fold(0, |bits, v| bits | near(*v));
+    std::hint::black_box(gathered);
 }
 
 /// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
@@ -125,12 +150,17 @@ pub(super) fn stream<K: Sink>(
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<K>>> {
     let mut feeds = match corners {
-        Corners::Resident(all) => scan.triangles(
+        Corners::Resident { all, coherent } => scan.triangles(
             crew,
             || Feed::new(sink()),
             |feed, chunk| {
-                for triangle in chunk.triangles {
-                    feed.gather(*triangle, used, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                for triangles in chunk.triangles.chunks(AT_ONCE) {
+                    if !coherent {
+                        fetch(all, used, triangles);
+                    }
+                    for triangle in triangles {
+                        feed.gather(*triangle, used, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                    }
                 }
                 Ok(())
             },

@@ -38,6 +38,9 @@ struct Batch {
     w: [f32; BATCH],
 }
 
+/// Faces from anywhere whose cells' lines are fetched together: few enough for the first-level cache.
+const AT_ONCE: usize = 64;
+
 /// What cross products are scaled by, so that no square of one can overflow or vanish: they are 1 to 2⁶⁹ steps².
 const CROSS_SCALE: f32 = 1.0 / (1u64 << 32) as f32;
 
@@ -68,15 +71,30 @@ impl<'a> FaceWorker<'a> {
         self.appender.flush();
     }
 
+    /// Adds the plane of a face within one cell to it.
+    #[inline(always)]
+    fn add_inside<const COHERENT: bool>(&mut self, i: usize) {
+        let batch = &*self.batch;
+        let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
+        let [p, q, r] = batch.faces[i].map(Corner::local);
+        let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
+        let share = Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w);
+        let cell = batch.faces[i][0].cell();
+        if COHERENT { self.gatherer.add(cell, &share) } else { self.gatherer.add_now(cell, &share) }
+    }
+
     /// Adds a face's plane to each of its cells, once.
     #[inline(always)]
-    fn add_across(&mut self, i: usize) {
+    fn add_across<const COHERENT: bool>(&mut self, i: usize) {
         let batch = &*self.batch;
         let face = batch.faces[i];
         let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
         let [p, q, r] = face.map(|corner| Vec3A::from(corner.local().map(|x| x as f32)));
         let cells @ [a, b, c] = face.map(Corner::cell);
-        let mut add = |cell, sum, corners| self.gatherer.add(cell, &Share::new(n, place(sum, corners), w));
+        let mut add = |cell, sum, corners| {
+            let share = Share::new(n, place(sum, corners), w);
+            if COHERENT { self.gatherer.add(cell, &share) } else { self.gatherer.add_now(cell, &share) }
+        };
         if a == b {
             add(a, p + q, 2.0);
             add(c, r, 1.0);
@@ -97,23 +115,24 @@ impl<'a> FaceWorker<'a> {
 
 impl Sink for FaceWorker<'_> {
     fn take(&mut self, faces: &[[Corner; 3]]) {
-        let inside = self.batch.sort_apart(faces);
-        self.batch.cross_inside(inside);
-        self.batch.cross_across(inside, faces.len(), self.table);
-        self.flat_faces += u64::from(self.batch.normalise(faces.len(), self.quanta));
+        let (inside, end) = (self.batch.sort_apart(faces), faces.len().min(BATCH));
         if !self.coherent {
-            self.gatherer.fetch(self.batch.faces[..faces.len()].as_flattened().iter().map(|corner| corner.cell()));
+            self.table.fetch(self.batch.faces[inside..end].as_flattened().iter().map(|corner| corner.cell()));
         }
-        for i in 0..inside {
-            let batch = &*self.batch;
-            let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
-            let [p, q, r] = batch.faces[i].map(Corner::local);
-            let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
-            let share = Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w);
-            self.gatherer.add(batch.faces[i][0].cell(), &share);
+        self.batch.cross_inside(inside);
+        self.batch.cross_across(inside, end, self.table);
+        self.flat_faces += u64::from(self.batch.normalise(end, self.quanta));
+        if self.coherent {
+            (0..inside).for_each(|i| self.add_inside::<true>(i));
+            (inside..end).for_each(|i| self.add_across::<true>(i));
+            return;
         }
-        for i in inside..faces.len() {
-            self.add_across(i);
+        for first in (0..end).step_by(AT_ONCE) {
+            let last = (first + AT_ONCE).min(end);
+            let cells = self.batch.faces[first..last].as_flattened().iter().map(|corner| corner.cell());
+            self.gatherer.fetch(cells);
+            (first..last.min(inside)).for_each(|i| self.add_inside::<false>(i));
+            (first.max(inside)..last).for_each(|i| self.add_across::<false>(i));
         }
     }
 }

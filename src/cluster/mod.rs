@@ -18,19 +18,20 @@
 //! **Does not promise** a manifold: sheets that are closer than a cell may touch, and a part smaller than a cell
 //! vanishes.
 //!
-//! **Memory**: [`bytes`] of arrays at the most, and [`bytes_per_worker`]. In bytes a cell of the table:
+//! **Memory** of arrays, in bytes a cell of the table ([`summing_bytes`], [`placing_bytes`]; [`bytes_per_worker`] beside
+//! them):
 //!
-//! | | |
-//! |---|--:|
-//! | block table (330 a block for 10 cells), until placement | 33 |
-//! | key | 8 |
-//! | line of sums; side table | 64 + 5 |
-//! | rank, later the cell's number | 4 |
-//! | blocks in order, for the ranks | 2 |
-//! | **until placement** | **116** |
-//! | placement, without the block table: quadric 44, position 12 or 24 | **141, 153** |
+//! | | binning | faces, borders | placement |
+//! |---|--:|--:|--:|
+//! | block table, 330 a block for 10 cells (a soup keeps it until placement) | 33 | | |
+//! | blocks in order, for the ranks | 2 | | |
+//! | key | 8 | 8 | 8 |
+//! | rank, later the cell's number | 4 | 4 | 8 |
+//! | line of sums; side table | | 69 | 69 |
+//! | quadric 44, position 12 or 24 | | | 56, 68 |
+//! | **in all** | **47** | **81** | **141, 153** |
 //!
-//! beside 12 bytes for each of `raw_faces` (of which borders are given what survivors leave) and up to
+//! beside 12 bytes for each of `raw_faces` (of which borders are given what survivors leave) and, until placement, up to
 //! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12 to 28 more a
 //! face. A scan whose survivors, borders or overflowing sums need more than that is clustered again, coarser, or in
 //! more passes.
@@ -158,14 +159,23 @@ pub struct ClusterStats {
 /// Most cells that a table can have.
 pub use grid::MAX_CELLS;
 
-/// Bytes of arrays that clustering into `cells` cells takes at most, beside those of `raw_faces` and the spill.
-pub const fn bytes(cells: usize, double: bool) -> u64 {
+/// Bytes of arrays for `cells` cells while the scan streams past, beside those of `raw_faces` and the spill.
+pub const fn summing_bytes(cells: usize, layout: Layout) -> u64 {
     let room = room(cells);
-    let blocks = CellTable::block_capacity(room);
-    let summed = room * (sums::LINE_BYTES + sums::SIDE_BYTES + 4) + CellTable::bytes(room) + blocks * 16;
-    let placed = room * (sums::LINE_BYTES + sums::SIDE_BYTES + 8 + 4)
-        + cells * (4 + size_of::<PackedQuadric>() + if double { 24 } else { 12 });
-    (if placed > summed { placed } else { summed }) as u64
+    let ordering = CellTable::block_capacity(room) * 16;
+    let binned = CellTable::bytes(room) + ordering + room * 4;
+    let lines = room * (sums::LINE_BYTES + sums::SIDE_BYTES);
+    let summed = match layout {
+        Layout::Indexed => lines + room * 12,
+        Layout::Soup => lines + binned,
+    };
+    (if summed > binned { summed } else { binned }) as u64
+}
+
+/// Bytes of arrays for `cells` cells while representatives are placed, beside the faces.
+pub const fn placing_bytes(cells: usize, double: bool) -> u64 {
+    let a_cell = sums::LINE_BYTES + sums::SIDE_BYTES + 16 + size_of::<PackedQuadric>() + if double { 24 } else { 12 };
+    (room(cells) * a_cell) as u64
 }
 
 /// Cells that the table has room for: more than are aimed at, since the count that their size is chosen by is not exact.
@@ -177,10 +187,19 @@ const fn room(cells: usize) -> usize {
 /// Bytes that each of `raw_faces` takes.
 pub const BYTES_PER_RAW_FACE: usize = survivors::TRIPLE_BYTES;
 
-/// Bytes that a worker takes, beside what reading does.
+/// Bytes that a worker takes, beside what reading does and [`bytes_per_spill_worker`].
 pub const fn bytes_per_worker() -> usize {
-    let spill = if spill::PAGE_CACHE_BYTES > join::WORKER_BYTES { spill::PAGE_CACHE_BYTES } else { join::WORKER_BYTES };
-    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + corners::FEED_BYTES + spill
+    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + corners::FEED_BYTES
+}
+
+/// Bytes that a worker takes for a spill that is not resident.
+pub const fn bytes_per_spill_worker() -> usize {
+    if spill::PAGE_CACHE_BYTES > join::WORKER_BYTES { spill::PAGE_CACHE_BYTES } else { join::WORKER_BYTES }
+}
+
+/// Bytes of the binned vertices of an indexed scan, all of them resident, and what is kept to count those that faces use.
+pub fn resident_spill_bytes(vertices: u64) -> u64 {
+    vertices.saturating_mul(8).saturating_add(used::bytes_for(vertices))
 }
 
 /// Clusters a scan. `S` should be the scalar that loses nothing of the scan's coordinates.
@@ -245,19 +264,21 @@ impl Run<'_> {
         let doubled = f64::from(1u32 << overflows.saturating_sub(PATIENCE).min(24));
         let grid = Grid::new(self.place, self.place.side(sizing) * doubled);
         let room = room(self.options.cells);
-        let table = CellTable::new(room);
+        let mut table = CellTable::new(room);
         let used = Used::within(self.scan, self.options.spill_resident_bytes);
         let resident_bytes = self.options.spill_resident_bytes - used.bytes();
-        let mut spill = None;
+        let (mut spill, mut ranks) = (None, Vec::new());
         let mut cells = sizing.occupied(grid.cell).max(1.0);
         if self.scan.layout() == Layout::Indexed {
             let s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
-            corners::bin_vertices(self.scan, self.crew, &grid, &table, &s)?;
+            corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.coherent, &s)?;
             if table.is_full() {
                 drop((table, s));
                 return self.overflowed(&grid, sizing);
             }
             cells = (table.len() as f64).max(1.0);
+            ranks = table.ranks();
+            table.keep_keys();
             spill = Some(s);
         }
         let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
@@ -285,7 +306,9 @@ impl Run<'_> {
             return Ok(None);
         }
         let (totals, mut triples) = (sums.into_totals(), survivors.into_triples());
-        let ranks = table.ranks();
+        if spill.is_none() {
+            ranks = table.ranks();
+        }
         self.stats.surviving_faces = triples.len() as u64;
         self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, self.crew)?;
         let excess = self.options.limit.excess(triples.len(), ranks.len());
@@ -314,7 +337,7 @@ impl Run<'_> {
     fn corners<'b>(&'b self, spill: &'b Option<Spill>, grid: &'b Grid, table: &'b CellTable) -> Corners<'b> {
         match spill {
             None => Corners::Soup(grid, table),
-            Some(Spill::Resident(all)) => Corners::Resident(all),
+            Some(Spill::Resident(all)) => Corners::Resident { all, coherent: self.coherent },
             Some(Spill::Filed(spill)) if self.coherent => Corners::Paged(spill),
             Some(Spill::Filed(spill)) => {
                 let resident_bytes = self.options.spill_resident_bytes;

@@ -95,16 +95,10 @@ impl<'a> Gatherer<'a> {
         Gatherer { sums, cache: Box::new([Cached([0; PADDED]); CACHED]), owners: Box::new([NOBODY; CACHED]) }
     }
 
-    /// Adds a face's share to a cell.
+    /// Adds a face's share to a cell, by way of the cache: for faces whose neighbours come next.
     #[inline(always)]
     pub(super) fn add(&mut self, cell: u32, share: &Share) {
-        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
-            let wide =
-                share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
-            return self.sums.add_aside(cell, &unpad(&wide));
-        }
-        // A weight at the limit still fits 32 bits, and the other lanes are no larger.
-        let share = share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32);
+        let Some(share) = self.narrow(cell, share) else { return };
         let place = cell as usize % CACHED;
         let line = &mut self.cache[place].0;
         if self.owners[place] != cell || i64::from(line[PADDED_WEIGHT]) + i64::from(share[PADDED_WEIGHT]) > LIMIT {
@@ -114,6 +108,27 @@ impl<'a> Gatherer<'a> {
         for (sum, x) in line.iter_mut().zip(share) {
             *sum = sum.wrapping_add(x);
         }
+    }
+
+    /// Adds a face's share to a cell at once: for faces from anywhere, whose lines were fetched.
+    #[inline(always)]
+    pub(super) fn add_now(&mut self, cell: u32, share: &Share) {
+        if let Some(share) = self.narrow(cell, share) {
+            self.sums.add(cell, &share);
+        }
+    }
+
+    /// A share in the 32 bits of a line; what does not fit goes aside at once.
+    #[inline(always)]
+    fn narrow(&self, cell: u32, share: &Share) -> Option<[i32; PADDED]> {
+        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
+            let wide =
+                share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
+            self.sums.add_aside(cell, &unpad(&wide));
+            return None;
+        }
+        // A weight at the limit still fits 32 bits, and the other lanes are no larger.
+        Some(share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32))
     }
 
     /// Has the lines of cells that are about to be added to brought near, so that the waits for them overlap.
@@ -156,7 +171,12 @@ impl Sums {
     /// Adds a cached line to its owner's and empties it.
     #[inline(never)]
     fn write_back(&self, owner: u32, cached: &mut [i32; PADDED]) {
-        let gathered = unpad(&std::mem::replace(cached, [0; PADDED]));
+        self.add(owner, &std::mem::replace(cached, [0; PADDED]));
+    }
+
+    #[inline(always)]
+    fn add(&self, owner: u32, gathered: &[i32; PADDED]) {
+        let gathered = unpad(gathered);
         let Some(line) = self.lines.get(owner as usize) else { return };
         // A worker that panicked has left nothing half done here: lanes are added without a call that could.
         let mut line = line.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());

@@ -159,6 +159,21 @@ impl CellTable {
         self.keys[cell as usize].load(Relaxed)
     }
 
+    /// Has the keys of such cells brought near, so that the waits for them overlap.
+    pub(super) fn fetch(&self, cells: impl Iterator<Item = u32>) {
+        std::hint::black_box(cells.fold(0, |bits, cell| bits | self.key(cell)));
+    }
+
+    /// Has the places where positions' cells are looked up first brought near.
+    pub(super) fn fetch_numbers(&self, steps: impl Iterator<Item = Steps>) {
+        let bits = steps.fold(0, |bits, s| {
+            let slot = spread(block_key(s) + 1, self.blocks.len());
+            let number = self.numbers[slot * 64 + place_in_block(s)].load(Relaxed);
+            bits | self.blocks[slot].load(Relaxed) | u64::from(number)
+        });
+        std::hint::black_box(bits);
+    }
+
     /// Each cell's rank in Morton order: a numbering that only the set of cells decides, and in which neighbours in
     /// space are neighbours in memory.
     pub(super) fn ranks(&self) -> Vec<u32> {

@@ -6,6 +6,11 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// Share of the room for binned vertices that may go into counting, at most.
 const SHARE: u64 = 4;
 
+/// Bytes for so many vertices.
+pub(super) fn bytes_for(vertices: u64) -> u64 {
+    8 * vertices.div_ceil(64)
+}
+
 /// A set of vertices that workers add to together.
 pub(super) struct Used(Vec<AtomicU64>);
 
@@ -17,9 +22,9 @@ impl Used {
 
     /// For the vertices of an indexed scan if a share of `bytes` holds them.
     pub(super) fn within(scan: &Scan, bytes: u64) -> Self {
-        let words = scan.vertex_count().div_ceil(64);
-        let fits = scan.layout() == Layout::Indexed && words.saturating_mul(8) <= bytes / SHARE;
-        Used(bytemuck::zeroed_vec(if fits { words as usize } else { 0 }))
+        let needed = bytes_for(scan.vertex_count());
+        let fits = scan.layout() == Layout::Indexed && needed <= bytes / SHARE;
+        Used(bytemuck::zeroed_vec(if fits { (needed / 8) as usize } else { 0 }))
     }
 
     /// Bytes that it takes.
@@ -35,6 +40,12 @@ impl Used {
         if word.load(Relaxed) & bit == 0 {
             word.fetch_or(bit, Relaxed);
         }
+    }
+
+    /// What a vertex's bit is in.
+    #[inline(always)]
+    pub(super) fn word(&self, vertex: u32) -> u64 {
+        self.0.get(vertex as usize / 64).map_or(0, |word| word.load(Relaxed))
     }
 
     /// How many of `vertices` were not added; `None` without an account.
