@@ -145,13 +145,14 @@ impl Run<'_> {
     ) -> Result<Intermediate<S>> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         loop {
-            let (raw_faces, spill_resident_bytes) = self.purse.cluster_options::<S>(cells);
+            let (raw_faces, spill_resident_bytes, limit) = self.purse.cluster_options::<S>(self.scan, cells);
             let options = ClusterOptions {
                 representative: self.job.representative,
                 cells,
                 raw_faces,
                 spill_resident_bytes,
                 boundary_weight: self.job.boundary_weight,
+                limit,
             };
             self.progress.begin(Stage::Cluster, 0);
             let scratch = Scratch::in_folder(self.job.scratch_folder());
@@ -214,9 +215,11 @@ impl Run<'_> {
             }
         };
         say(self.scan.trailing_bytes(), |bytes| Warning::TrailingBytes { bytes });
+        say(self.scan.short_polygons(), |faces| Warning::ShortPolygons { faces });
         match source {
             Source::Loaded(report) => {
                 say(report.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
+                say(report.flat_faces, |faces| Warning::FlatFaces { faces });
                 say(report.unreferenced_vertices, |vertices| Warning::UnreferencedVertices { vertices });
                 say(report.duplicate_vertices, |vertices| Warning::DuplicateVertices { vertices });
                 if let Some(asked) = asked.filter(|&n| n >= faces as u64) {
@@ -225,6 +228,8 @@ impl Run<'_> {
             }
             Source::Clustered(stats) => {
                 say(stats.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
+                say(stats.flat_faces, |faces| Warning::FlatFaces { faces });
+                say(stats.unreferenced_vertices.unwrap_or(0), |vertices| Warning::UnreferencedVertices { vertices });
                 if stats.overflows > 0 {
                     warnings.push(Warning::CoarsenedGrid { times: stats.overflows, cells: stats.occupied_cells });
                 }

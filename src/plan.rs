@@ -1,22 +1,25 @@
 //! What a memory budget buys for a scan: in core or out of core, and with how many cells.
 //!
 //! All sizes of a run follow from the scan, the ask and the budget, never from the threads or the machine, so that neither
-//! can change a byte of the result. The arithmetic, in bytes:
+//! can change a byte of the result. What lives at the same time, in bytes:
 //!
 //! | | resident |
 //! |---|---|
-//! | always | 12 MiB (program, stacks, allocator) and what a streaming pass maps and decodes |
+//! | always | 12 MiB (program, stacks, allocator) |
+//! | while streaming | what a pass maps and decodes, and windows on a spill: a quarter, at most what eight workers need |
 //! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
-//! | in core, collapse | 36 a face, 109 a vertex (133): about 91 a face on closed scans |
-//! | out of core, binning | the cell table (27 + 8 a cell), and the binned vertices, 8 each, where they fit |
-//! | out of core, summing | the same, 64 a cell for its sums and 12 a surviving face |
-//! | out of core, collapse | as in core, for the intermediate mesh: about two faces a cell |
+//! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
+//! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
+//! | collapse | 36 a face, 109 a vertex (133), and a tenth: about 100 a face on closed scans |
 //!
-//! Out of core the intermediate mesh is [`AIM`] times as large as the result where that fits, and at least [`LEAST_RATIO`]
-//! times: below that clustering does most of the reduction and the result is no better than clustering's.
+//! Out of core the collapse decides how many cells there are: 200 bytes each, two faces a cell. Scans differ, so the
+//! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
+//!
+//! The intermediate mesh is [`AIM`] times as large as the result where that fits, and at least [`LEAST_RATIO`] times:
+//! below that clustering does most of the reduction and the result is no better than clustering's.
 
 use crate::budget::MIB;
-use crate::cluster;
+use crate::cluster::{self, MeshLimit};
 use crate::collapse;
 use crate::error::{Error, Result};
 use crate::mesh::Coordinate;
@@ -32,11 +35,15 @@ pub const AIM: f64 = 10.0;
 /// Intermediate : target below which a budget is refused.
 pub const LEAST_RATIO: f64 = 2.0;
 
-/// Faces of the intermediate mesh for each cell that the table has room for, when as full as it should be.
-const FACES_A_CELL: f64 = 1.6;
+/// Faces of the intermediate mesh for each cell that is aimed at: a closed surface has two a vertex, the count of cells
+/// is within 2 %, and some cells hold no face that survives.
+const FACES_A_CELL: f64 = 1.95;
 
-/// Faces that may survive clustering for each cell, coincident ones included; more coarsens the grid.
-const SURVIVORS_A_CELL: usize = 5;
+/// Faces that may survive clustering for each cell, coincident ones included; more coarsens the grid. Scans have 2.1.
+const SURVIVORS_A_CELL: usize = 4;
+
+/// What the collapse takes beside its arrays, as a share of them: lists of a round, and what allocators keep back.
+const COLLAPSE_MARGIN: f64 = 0.1;
 
 /// The fewest cells that are worth clustering into.
 const LEAST_CELLS: usize = 4096;
@@ -61,25 +68,35 @@ pub struct Purse {
 impl Purse {
     /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
     pub fn new(bytes: u64, threads: usize) -> Self {
-        let fits = |n: &usize| streaming_bytes(*n) <= bytes / 4;
+        let fits = |n: &usize| streaming_bytes(*n) <= aside(bytes);
         let workers = (1..=threads).rev().find(fits).unwrap_or(1);
         Purse { bytes, workers }
     }
 
-    /// What is left for a stage's arrays. It does not depend on the workers: their share is set aside as a whole.
+    /// What is left for arrays while nothing streams.
     fn for_arrays(&self) -> u64 {
-        self.bytes.saturating_sub(BASE_BYTES + aside(self.bytes))
+        self.bytes.saturating_sub(BASE_BYTES)
+    }
+
+    /// What is left for arrays while a scan streams past. It does not depend on the workers: their share is set aside as a
+    /// whole.
+    fn while_streaming(&self) -> u64 {
+        self.for_arrays().saturating_sub(aside(self.bytes))
+    }
+
+    /// What the collapse's own arrays may take.
+    fn for_collapse(&self) -> u64 {
+        (self.for_arrays() as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
     }
 
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out
     /// to have more.
     pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
-        let arrays = self.for_arrays();
         let a_vertex = collapse::bytes::<S>(0, 1);
-        let most_vertices = arrays.checked_sub(collapse::bytes::<S>(faces, 0))? / a_vertex;
+        let most_vertices = self.for_collapse().checked_sub(collapse::bytes::<S>(faces, 0))? / a_vertex;
         let fits = match scan.layout() {
-            Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= arrays,
+            Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= self.for_arrays(),
             // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
             Layout::Soup => faces / 2 <= most_vertices,
         };
@@ -88,11 +105,11 @@ impl Purse {
 
     /// The cells for a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
     pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Cells> {
-        let most_cells = self.most_cells::<S>();
+        let most_cells = self.most_cells::<S>(scan.layout());
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
-            let out_of_core = bytes_for::<S>(least_cells);
-            let needed_bytes = total_for(out_of_core).min(in_core_budget::<S>(scan));
+            let enough = least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
+            let needed_bytes = enough.min(in_core_budget::<S>(scan));
             let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
             let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
             return Err(Error::Budget { what, needed_bytes });
@@ -101,28 +118,40 @@ impl Purse {
         Ok(Cells { wanted: wanted.min(most_cells), most: most_cells })
     }
 
-    fn most_cells<S: Coordinate>(&self) -> usize {
-        let a_cell = bytes_for::<S>(1 << 20) as f64 / f64::from(1 << 20);
-        ((self.for_arrays() as f64 / a_cell) as usize).min(cluster::MAX_CELLS)
+    /// The most cells that clustering, and the collapse of what comes of it, have room for.
+    fn most_cells<S: Coordinate>(&self, layout: Layout) -> usize {
+        let fits = |cells: usize| {
+            let n = cells as u64;
+            let faces = 2 * n + n / 64;
+            let survivors = (SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64 * n;
+            cluster::summing_bytes(cells, layout) + survivors <= self.while_streaming()
+                && cluster::placing_bytes(cells, S::DOUBLE) + 12 * faces <= self.for_arrays()
+                && collapse::bytes::<S>(faces, n) <= self.for_collapse()
+        };
+        let (mut low, mut high) = (0, cluster::MAX_CELLS + 1);
+        while high - low > 1 {
+            let middle = low.midpoint(high);
+            if fits(middle) { low = middle } else { high = middle }
+        }
+        low
     }
 
-    /// Clustering's options for a table of `cells`.
-    pub fn cluster_options<S: Coordinate>(&self, cells: usize) -> (usize, u64) {
+    /// What clustering into so many cells may use: survivors, bytes of binned vertices, and the mesh that may come of it.
+    pub fn cluster_options<S: Coordinate>(&self, scan: &Scan, cells: usize) -> (usize, u64, MeshLimit) {
         let raw_faces = SURVIVORS_A_CELL * cells;
-        let taken = cluster_bytes::<S>(cells);
-        (raw_faces, self.for_arrays().saturating_sub(taken))
+        let taken = cluster::summing_bytes(cells, scan.layout()) + (raw_faces * cluster::BYTES_PER_RAW_FACE) as u64;
+        let left = self.while_streaming().saturating_sub(taken);
+        // Binned vertices that are all resident need no windows on a spill.
+        let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
+        let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
+        let (face_bytes, vertex_bytes) = (collapse::bytes::<S>(1, 0), collapse::bytes::<S>(0, 1));
+        (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse() })
     }
 }
 
 /// What so many workers of a streaming pass take.
 fn streaming_bytes(workers: usize) -> u64 {
-    Crew::stream_bytes(workers) + (workers * cluster::bytes_per_worker()) as u64
-}
-
-/// What clustering takes for a table of `cells`, the binned vertices aside.
-fn cluster_bytes<S: Coordinate>(cells: usize) -> u64 {
-    let a_cell = cluster::bytes_per_cell(S::DOUBLE) + SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE;
-    cells as u64 * a_cell as u64
+    Crew::stream_bytes(workers) + (workers * (cluster::bytes_per_worker() + cluster::bytes_per_spill_worker())) as u64
 }
 
 /// What is set aside for streaming.
@@ -130,26 +159,29 @@ fn aside(bytes: u64) -> u64 {
     (bytes / 4).min(streaming_bytes(8))
 }
 
+/// The same where no spill is looked into.
+fn aside_without_spill(bytes: u64) -> u64 {
+    aside(bytes).min(streaming_bytes(8) - 8 * cluster::bytes_per_spill_worker() as u64)
+}
+
 /// Cells for an intermediate mesh of `ratio` times `target` faces.
 fn cells_for(target: u64, ratio: f64) -> usize {
     (target as f64 * ratio / FACES_A_CELL).ceil() as usize
 }
 
-/// Bytes of arrays at the peak, out of core, for a table of `cells`.
-fn bytes_for<S: Coordinate>(cells: usize) -> u64 {
-    let collapse = collapse::bytes::<S>(2 * cells as u64 + cells as u64 / 8, cells as u64);
-    let sums = cluster_bytes::<S>(cells);
-    collapse.max(sums)
-}
-
 /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
 pub fn in_core_budget<S: Coordinate>(scan: &Scan) -> u64 {
-    total_for(load_peak_bytes(scan).max(collapse::bytes::<S>(scan.triangle_count(), scan.vertex_count())))
+    let collapse = collapse::bytes::<S>(scan.triangle_count(), scan.vertex_count());
+    let loading = load_peak_bytes(scan);
+    least_budget(|purse| collapse <= purse.for_collapse() && loading <= purse.for_arrays())
 }
 
-/// The least budget whose arrays have that many bytes, in whole mebibytes.
-fn total_for(arrays: u64) -> u64 {
-    let small = (arrays.saturating_add(BASE_BYTES)) / 3 * 4 + MIB;
-    let large = arrays.saturating_add(BASE_BYTES + streaming_bytes(8)) + MIB;
-    if aside(small) == small / 4 { small } else { large }
+/// The least budget in whole mebibytes that is enough; the largest of all if none is.
+fn least_budget(is_enough: impl Fn(&Purse) -> bool) -> u64 {
+    let (mut low, mut high) = (0, u64::MAX / MIB);
+    while high - low > 1 {
+        let middle = low.midpoint(high);
+        if is_enough(&Purse { bytes: middle * MIB, workers: 1 }) { high = middle } else { low = middle }
+    }
+    high * MIB
 }

@@ -95,12 +95,23 @@ pub enum Warning {
         /// Faces dropped.
         faces: u64,
     },
-    /// Vertices that no face uses.
+    /// Polygons of fewer than three corners.
+    ShortPolygons {
+        /// Polygons dropped.
+        faces: u64,
+    },
+    /// Faces whose corners differ but lie on a line; out of core, as far as the 8192nd part of a cell shows it.
+    FlatFaces {
+        /// Faces concerned.
+        faces: u64,
+    },
+    /// Vertices that no face uses. Out of core they are counted where the budget has room for a bit each.
     UnreferencedVertices {
         /// Vertices dropped.
         vertices: u64,
     },
-    /// Vertices at a place that another vertex holds already.
+    /// Vertices at a place that another vertex holds already. Not counted out of core, where they merge like all
+    /// vertices of a cell.
     DuplicateVertices {
         /// Vertices merged away.
         vertices: u64,
@@ -147,6 +158,8 @@ impl Warning {
         match self {
             Warning::TrailingBytes { .. } => "trailing-bytes",
             Warning::RepeatedCornerFaces { .. } => "repeated-corner-faces",
+            Warning::ShortPolygons { .. } => "short-polygons",
+            Warning::FlatFaces { .. } => "flat-faces",
             Warning::UnreferencedVertices { .. } => "unreferenced-vertices",
             Warning::DuplicateVertices { .. } => "duplicate-vertices",
             Warning::NonManifoldEdges { .. } => "non-manifold-edges",
@@ -170,6 +183,16 @@ impl fmt::Display for Warning {
             Warning::RepeatedCornerFaces { faces } => {
                 write!(f, "{} with a repeated corner dropped: no surface is lost", count(faces, "face"))
             }
+            Warning::ShortPolygons { faces } => write!(
+                f,
+                "{} of fewer than three corners dropped: if they are lines or points that matter, mesh them first",
+                count(faces, "polygon")
+            ),
+            Warning::FlatFaces { faces } => write!(
+                f,
+                "{} without area reduced as they are: repair the scan first if the result must have none",
+                count(faces, "face")
+            ),
             Warning::UnreferencedVertices { vertices } => write!(
                 f,
                 "{} that no face uses dropped: if they matter, the scan still needs meshing",

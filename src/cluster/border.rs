@@ -6,46 +6,75 @@
 //! simplification*, 2001): an interior edge is there once each way and cancels, exactly since these are integers, so
 //! what is left is border, and `|e₁ × x + e₂|²` is the squared distance from it times its squared length.
 //!
-//! It costs a second pass over the faces, and only scans with borders pay it.
+//! It costs a second pass over the faces, and only scans with borders pay it; where more cells are open than memory is
+//! left for, more such passes.
 
 use super::corners::Sink;
-use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
+use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates, is_far};
 use super::sums::Totals;
 use super::table::CellTable;
 use crate::quadric::Quadric;
 use glam::DVec3;
+use std::ops::Range;
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// Cells on an edge with an odd number of faces, as flags by the triples' own numbering.
 pub(super) fn open_cells(triples: &[[u32; 3]], cells: usize) -> Vec<bool> {
-    // Edges by their lesser end: a counting sort of the greater ends.
-    let mut starts = vec![0u32; cells + 1];
-    let edges = || triples.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v)));
-    for (u, _) in edges() {
-        starts[u as usize + 1] += 1;
-    }
-    for i in 0..cells {
-        starts[i + 1] += starts[i];
-    }
-    let mut ends = vec![0u32; triples.len() * 3];
-    for (u, v) in edges() {
-        let at = &mut starts[u as usize];
-        ends[*at as usize] = v;
-        *at += 1;
-    }
-    // Each start is now the next one's.
     let mut open = vec![false; cells];
-    let mut first = 0;
-    for u in 0..cells {
-        let ends = &mut ends[first..starts[u] as usize];
-        first = starts[u] as usize;
-        ends.sort_unstable();
-        for same in ends.chunk_by(|v, w| v == w).filter(|same| same.len() % 2 == 1) {
-            open[u] = true;
-            open[same[0] as usize] = true;
+    // Lesser ends are taken a share at a time, so that there are never many more ends than cells.
+    let share = cells.div_ceil(triples.len().div_ceil(cells.max(1)).max(1)).max(1);
+    let mut starts = Vec::new();
+    let mut ends = Vec::new();
+    for first in (0..cells).step_by(share) {
+        let here = first as u32..(first + share).min(cells) as u32;
+        let edges = || {
+            let all = triples.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v)));
+            all.filter(|(u, _)| here.contains(u)).map(|(u, v)| (u as usize - first, v))
+        };
+        // Edges by their lesser end: a counting sort of the greater ends.
+        starts.clear();
+        starts.resize(here.len() + 1, 0u32);
+        edges().for_each(|(u, _)| starts[u + 1] += 1);
+        for i in 0..here.len() {
+            starts[i + 1] += starts[i];
+        }
+        ends.clear();
+        ends.reserve_exact(starts[here.len()] as usize);
+        ends.resize(starts[here.len()] as usize, 0u32);
+        for (u, v) in edges() {
+            ends[starts[u] as usize] = v;
+            starts[u] += 1;
+        }
+        // Each start is now the next one's.
+        let mut begin = 0;
+        for u in 0..here.len() {
+            let ends = &mut ends[begin..starts[u] as usize];
+            begin = starts[u] as usize;
+            ends.sort_unstable();
+            for same in ends.chunk_by(|v, w| v == w).filter(|same| same.len() % 2 == 1) {
+                open[first + u] = true;
+                open[same[0] as usize] = true;
+            }
         }
     }
     open
+}
+
+/// Ranges of ranks that hold at most `most` open cells each, and all of those together.
+pub(super) fn shares(open: &[bool], most: usize) -> Vec<Range<u32>> {
+    let mut shares = Vec::new();
+    let (mut first, mut held) = (0, 0);
+    for (rank, _) in open.iter().enumerate().filter(|(_, open)| **open) {
+        if held == most {
+            shares.push(first..rank as u32);
+            (first, held) = (rank as u32, 0);
+        }
+        held += 1;
+    }
+    if held > 0 {
+        shares.push(first..open.len() as u32);
+    }
+    shares
 }
 
 /// Cells without border.
@@ -59,24 +88,23 @@ pub(super) struct Borders {
     sums: Vec<[AtomicI64; 6]>,
 }
 
+/// Bytes a cell, and for each open one more, of [`Borders`].
+pub(super) const BYTES_A_CELL: usize = 4;
+pub(super) const BYTES_AN_OPEN_CELL: usize = size_of::<[AtomicI64; 6]>();
+
 impl Borders {
-    /// Sums of zero for the cells whose `ranks` are open; `None` when none is.
-    pub(super) fn new(open: &[bool], ranks: &[u32]) -> Option<Self> {
+    /// Sums of zero for the cells whose `ranks` are open and in `share`.
+    pub(super) fn new(open: &[bool], ranks: &[u32], share: Range<u32>) -> Self {
         let mut next = 0;
         let mut slot = |rank: &u32| {
-            if !open[*rank as usize] {
+            if !share.contains(rank) || !open[*rank as usize] {
                 return CLOSED;
             }
             next += 1;
             next - 1
         };
         let slots: Vec<u32> = ranks.iter().map(&mut slot).collect();
-        (next > 0).then(|| Borders { slots, sums: bytemuck::zeroed_vec(next as usize) })
-    }
-
-    /// Number of open cells.
-    pub(super) fn len(&self) -> usize {
-        self.sums.len()
+        Borders { slots, sums: bytemuck::zeroed_vec(next as usize) }
     }
 
     /// Adds the edge between two positions in steps from the least corner of a cell.
@@ -118,12 +146,17 @@ pub(super) struct BorderWorker<'a> {
 impl BorderWorker<'_> {
     #[cold]
     fn add(&self, face: [Corner; 3], slots: [u32; 3]) {
-        let at = face.map(|corner| coordinates(self.table.key(corner.cell())));
+        let keys = face.map(|corner| self.table.key(corner.cell()));
+        let at = keys.map(coordinates);
         let place = |corner: usize, about: usize| -> [i64; 3] {
             let local = face[corner].local();
             std::array::from_fn(|k| ((at[corner][k] - at[about][k]) << LOCAL_BITS) + i64::from(local[k]))
         };
         for (from, to) in [(0, 1), (1, 2), (2, 0)] {
+            // An edge that leads far away is left out wherever it occurs: its products would overflow.
+            if is_far(keys[from] | keys[to]) {
+                continue;
+            }
             if slots[from] != CLOSED {
                 self.borders.add(slots[from], place(from, from), place(to, from));
             }

@@ -8,6 +8,7 @@ use super::grid::{Corner, Grid};
 use super::join;
 use super::spill::{PageCache, Spill, SpillFile};
 use super::table::CellTable;
+use super::used::Used;
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
@@ -15,6 +16,9 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
 pub(super) const BATCH: usize = 512;
+
+/// Faces or vertices from anywhere that are looked up together, so that the waits for memory overlap.
+const AT_ONCE: usize = 64;
 
 /// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
 pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + (16 << 10) * size_of::<Corner>();
@@ -28,7 +32,7 @@ pub(super) trait Sink: Send {
 /// Where a face's corners come from.
 pub(super) enum Corners<'a> {
     /// From memory.
-    Resident(&'a [AtomicU64]),
+    Resident { all: &'a [AtomicU64], coherent: bool },
     /// From a spill file through a page cache a worker.
     Paged(&'a SpillFile),
     /// From a spill file by a join that may hold `resident_bytes` of it.
@@ -43,8 +47,8 @@ pub(super) struct Feed<K> {
     faces: Vec<[Corner; 3]>,
     /// Faces that repeat a corner.
     pub(super) repeated: u64,
-    /// The first vertex that a face uses and that is nowhere.
-    pub(super) nowhere: Option<u32>,
+    /// The first vertex (of a soup: corner) that a face uses and that is nowhere.
+    pub(super) nowhere: Option<u64>,
 }
 
 impl<K: Sink> Feed<K> {
@@ -67,22 +71,28 @@ impl<K: Sink> Feed<K> {
     }
 
     #[cold]
-    pub(super) fn miss(&mut self, vertex: u32) {
+    pub(super) fn miss(&mut self, vertex: u64) {
         self.nowhere = Some(self.nowhere.map_or(vertex, |v| v.min(vertex)));
     }
 
     /// Resolves a triangle's corners and takes it along, unless it repeats a vertex or a corner is nowhere.
     #[inline(always)]
-    fn gather(&mut self, [a, b, c]: [u32; 3], mut corner: impl FnMut(u32) -> Result<Corner>) -> Result<()> {
+    fn gather(
+        &mut self,
+        [a, b, c]: [u32; 3],
+        used: &Used,
+        mut corner: impl FnMut(u32) -> Result<Corner>,
+    ) -> Result<()> {
         if a == b || b == c || c == a {
             self.repeated += 1;
             return Ok(());
         }
+        [a, b, c].into_iter().for_each(|vertex| used.add(vertex));
         let face = [corner(a)?, corner(b)?, corner(c)?];
         if face.contains(&Corner::NOWHERE) {
             for (vertex, corner) in [a, b, c].into_iter().zip(face) {
                 if corner == Corner::NOWHERE {
-                    self.miss(vertex);
+                    self.miss(vertex.into());
                 }
             }
             return Ok(());
@@ -93,7 +103,14 @@ impl<K: Sink> Feed<K> {
 }
 
 /// Bins every vertex into the spill. Check the table afterwards: when it is full, the spill is worth nothing.
-pub(super) fn bin_vertices(scan: &Scan, crew: &Crew, grid: &Grid, table: &CellTable, spill: &Spill) -> Result<()> {
+/// `coherent` vertices follow one another in space.
+pub(super) fn bin_vertices(
+    scan: &Scan,
+    crew: &Crew,
+    (grid, table): (&Grid, &CellTable),
+    coherent: bool,
+    spill: &Spill,
+) -> Result<()> {
     let bin = |p: &[f64; 3]| match grid.steps(*p) {
         Some(steps) => Corner::new(table.number(steps).unwrap_or(0), steps),
         None => Corner::NOWHERE,
@@ -103,26 +120,47 @@ pub(super) fn bin_vertices(scan: &Scan, crew: &Crew, grid: &Grid, table: &CellTa
             return Ok(());
         }
         corners.clear();
-        corners.extend(chunk.positions.iter().map(bin));
+        if coherent {
+            corners.extend(chunk.positions.iter().map(bin));
+        } else {
+            for positions in chunk.positions.chunks(AT_ONCE) {
+                table.fetch_numbers(positions.iter().filter_map(|p| grid.steps(*p)));
+                corners.extend(positions.iter().map(bin));
+            }
+        }
         spill.write(chunk.first, corners)
     })?;
     Ok(())
 }
 
-/// Streams every face of the scan to sinks, one a worker.
+/// Has corners that lie anywhere brought near, so that the waits for them overlap.
+#[inline(always)]
+fn fetch(all: &[AtomicU64], used: &Used, triangles: &[[u32; 3]]) {
+    let near = |v: u32| all[v as usize].load(Relaxed) | used.word(v);
+    let gathered = triangles.as_flattened().iter().fold(0, |bits, v| bits | near(*v));
+    std::hint::black_box(gathered);
+}
+
+/// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
 pub(super) fn stream<K: Sink>(
     scan: &Scan,
     crew: &Crew,
     corners: &Corners,
+    used: &Used,
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<K>>> {
     let mut feeds = match corners {
-        Corners::Resident(all) => scan.triangles(
+        Corners::Resident { all, coherent } => scan.triangles(
             crew,
             || Feed::new(sink()),
             |feed, chunk| {
-                for triangle in chunk.triangles {
-                    feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                for triangles in chunk.triangles.chunks(AT_ONCE) {
+                    if !coherent {
+                        fetch(all, used, triangles);
+                    }
+                    for triangle in triangles {
+                        feed.gather(*triangle, used, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                    }
                 }
                 Ok(())
             },
@@ -131,14 +169,14 @@ pub(super) fn stream<K: Sink>(
             let worker = || (Feed::new(sink()), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
-                    feed.gather(*triangle, |v| pages.get(v))?;
+                    feed.gather(*triangle, used, |v| pages.get(v))?;
                 }
                 Ok(())
             })?;
             feeds.into_iter().map(|(feed, _)| feed).collect()
         }
         Corners::Joined { spill, scratch, resident_bytes } => {
-            join::stream(scan, crew, spill, scratch, *resident_bytes, sink)?
+            join::stream(scan, crew, (spill, used), scratch, *resident_bytes, sink)?
         }
         Corners::Soup(grid, table) => soup(scan, crew, grid, table, sink)?,
     };
@@ -153,9 +191,9 @@ fn soup<K: Sink>(
     table: &CellTable,
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<K>>> {
-    let bin = |p: [f64; 3]| {
-        let steps = grid.steps(p)?;
-        Some(Corner::new(table.number(steps)?, steps))
+    let bin = |p: [f64; 3]| match grid.steps(p) {
+        Some(steps) => table.number(steps).map(|cell| Corner::new(cell, steps)),
+        None => Some(Corner::NOWHERE),
     };
     scan.soup(
         crew,
@@ -164,11 +202,15 @@ fn soup<K: Sink>(
             if table.is_full() {
                 return Ok(());
             }
-            for &[a, b, c] in chunk.triangles {
+            for (i, &[a, b, c]) in chunk.triangles.iter().enumerate() {
                 if a == b || b == c || c == a {
                     feed.repeated += 1;
                 } else if let (Some(a), Some(b), Some(c)) = (bin(a), bin(b), bin(c)) {
-                    feed.push([a, b, c]);
+                    let face = [a, b, c];
+                    match face.iter().position(|corner| *corner == Corner::NOWHERE) {
+                        None => feed.push(face),
+                        Some(corner) => feed.miss(3 * (chunk.first + i as u64) + corner as u64),
+                    }
                 }
             }
             Ok(())

@@ -4,7 +4,7 @@
 //! normals (four at a time), sums. One face at a time would wait for its own square root and division.
 
 use super::corners::{BATCH, Sink};
-use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates};
+use super::grid::{Corner, LOCAL_BITS, STEPS, absolute, coordinates, is_far};
 use super::sums::{Gatherer, Share, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
@@ -18,6 +18,8 @@ pub(super) struct FaceWorker<'a> {
     batch: Box<Batch>,
     /// Quanta of weight for a cross product of length one.
     quanta: f32,
+    /// Faces without area.
+    pub(super) flat_faces: u64,
     /// Whether faces that follow one another are expected in the same cells.
     coherent: bool,
 }
@@ -35,6 +37,9 @@ struct Batch {
     /// Weight in quanta.
     w: [f32; BATCH],
 }
+
+/// Faces from anywhere whose cells' lines are fetched together: few enough for the first-level cache.
+const AT_ONCE: usize = 64;
 
 /// What cross products are scaled by, so that no square of one can overflow or vanish: they are 1 to 2⁶⁹ steps².
 const CROSS_SCALE: f32 = 1.0 / (1u64 << 32) as f32;
@@ -55,6 +60,7 @@ impl<'a> FaceWorker<'a> {
             appender: Appender::new(survivors),
             batch: Box::new(Batch { faces, x: [0.0; BATCH], y: [0.0; BATCH], z: [0.0; BATCH], w: [0.0; BATCH] }),
             quanta: (0.5 / (STEPS * STEPS * quantum) / f64::from(CROSS_SCALE)) as f32,
+            flat_faces: 0,
             coherent,
         }
     }
@@ -65,15 +71,30 @@ impl<'a> FaceWorker<'a> {
         self.appender.flush();
     }
 
+    /// Adds the plane of a face within one cell to it.
+    #[inline(always)]
+    fn add_inside<const COHERENT: bool>(&mut self, i: usize) {
+        let batch = &*self.batch;
+        let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
+        let [p, q, r] = batch.faces[i].map(Corner::local);
+        let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
+        let share = Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w);
+        let cell = batch.faces[i][0].cell();
+        if COHERENT { self.gatherer.add(cell, &share) } else { self.gatherer.add_now(cell, &share) }
+    }
+
     /// Adds a face's plane to each of its cells, once.
     #[inline(always)]
-    fn add_across(&mut self, i: usize) {
+    fn add_across<const COHERENT: bool>(&mut self, i: usize) {
         let batch = &*self.batch;
         let face = batch.faces[i];
         let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
         let [p, q, r] = face.map(|corner| Vec3A::from(corner.local().map(|x| x as f32)));
         let cells @ [a, b, c] = face.map(Corner::cell);
-        let mut add = |cell, sum, corners| self.gatherer.add(cell, &Share::new(n, place(sum, corners), w));
+        let mut add = |cell, sum, corners| {
+            let share = Share::new(n, place(sum, corners), w);
+            if COHERENT { self.gatherer.add(cell, &share) } else { self.gatherer.add_now(cell, &share) }
+        };
         if a == b {
             add(a, p + q, 2.0);
             add(c, r, 1.0);
@@ -94,23 +115,24 @@ impl<'a> FaceWorker<'a> {
 
 impl Sink for FaceWorker<'_> {
     fn take(&mut self, faces: &[[Corner; 3]]) {
-        let inside = self.batch.sort_apart(faces);
-        self.batch.cross_inside(inside);
-        self.batch.cross_across(inside, faces.len(), self.table);
-        self.batch.normalise(faces.len(), self.quanta);
+        let (inside, end) = (self.batch.sort_apart(faces), faces.len().min(BATCH));
         if !self.coherent {
-            self.gatherer.fetch(self.batch.faces[..faces.len()].as_flattened().iter().map(|corner| corner.cell()));
+            self.table.fetch(self.batch.faces[inside..end].as_flattened().iter().map(|corner| corner.cell()));
         }
-        for i in 0..inside {
-            let batch = &*self.batch;
-            let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
-            let [p, q, r] = batch.faces[i].map(Corner::local);
-            let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
-            let share = Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w);
-            self.gatherer.add(batch.faces[i][0].cell(), &share);
+        self.batch.cross_inside(inside);
+        self.batch.cross_across(inside, end, self.table);
+        self.flat_faces += u64::from(self.batch.normalise(end, self.quanta));
+        if self.coherent {
+            (0..inside).for_each(|i| self.add_inside::<true>(i));
+            (inside..end).for_each(|i| self.add_across::<true>(i));
+            return;
         }
-        for i in inside..faces.len() {
-            self.add_across(i);
+        for first in (0..end).step_by(AT_ONCE) {
+            let last = (first + AT_ONCE).min(end);
+            let cells = self.batch.faces[first..last].as_flattened().iter().map(|corner| corner.cell());
+            self.gatherer.fetch(cells);
+            (first..last.min(inside)).for_each(|i| self.add_inside::<false>(i));
+            (first.max(inside)..last).for_each(|i| self.add_across::<false>(i));
         }
     }
 }
@@ -149,7 +171,12 @@ impl Batch {
         for i in inside..end {
             let face = self.faces[i];
             let local = face.map(Corner::local);
-            let at = face.map(|corner| coordinates(table.key(corner.cell())));
+            let keys = face.map(|corner| table.key(corner.cell()));
+            if is_far(keys[0] | keys[1] | keys[2]) {
+                [self.x[i], self.y[i], self.z[i]] = far_cross(face, keys);
+                continue;
+            }
+            let at = keys.map(coordinates);
             let edge = |to: usize| -> [i64; 3] {
                 std::array::from_fn(|k| ((at[to][k] - at[0][k]) << LOCAL_BITS) + i64::from(local[to][k] - local[0][k]))
             };
@@ -164,8 +191,9 @@ impl Batch {
     }
 
     /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still
-    /// counts a quantum: the mean of a cell with such faces only is defined.
-    fn normalise(&mut self, end: usize, quanta: f32) {
+    /// counts a quantum: the mean of a cell with such faces only is defined. Returns how many there are.
+    fn normalise(&mut self, end: usize, quanta: f32) -> u32 {
+        let mut flat = 0;
         let (x, y, z, w) = (&mut self.x[..end], &mut self.y[..end], &mut self.z[..end], &mut self.w[..end]);
         for (((x, y), z), w) in x.iter_mut().zip(y).zip(z).zip(w) {
             let length = (*x * *x + *y * *y + *z * *z).sqrt();
@@ -173,8 +201,22 @@ impl Batch {
             let inverse = 1.0 / length.max(0.5 * CROSS_SCALE);
             (*x, *y, *z) = (*x * inverse, *y * inverse, *z * inverse);
             *w = (length * quanta).max(1.0);
+            flat += u32::from(length == 0.0);
         }
+        flat
     }
+}
+
+/// The cross product of a face with a corner in a far cell, made shorter where its square would overflow: its weight is
+/// beyond all bounds anyway.
+#[cold]
+fn far_cross(face: [Corner; 3], keys: [u64; 3]) -> [f32; 3] {
+    let p: [[i64; 3]; 3] = std::array::from_fn(|corner| absolute(face[corner], keys[corner]));
+    let edge = |to: usize| -> [i64; 3] { std::array::from_fn(|axis| p[to][axis] - p[0][axis]) };
+    let (u, v) = (edge(1), edge(2));
+    let cross = glam::Vec3::new(wide(u, v, 1, 2), wide(u, v, 2, 0), wide(u, v, 0, 1)) * CROSS_SCALE;
+    let excess = cross.abs().max_element() / (1u64 << 60) as f32;
+    (cross / excess.max(1.0)).to_array()
 }
 
 #[cold]

@@ -3,7 +3,8 @@
 //! A position is first quantised to steps of 1/8192 of a cell and only then split into cell and place within the cell,
 //! so that everything after this file is exact integer arithmetic: two faces that share a vertex see the same bits.
 
-use crate::mesh::Frame;
+use super::sizing::Sizing;
+use crate::mesh::{Extent, Frame};
 use glam::DVec3;
 
 /// Bits of a place within a cell, an axis.
@@ -12,8 +13,13 @@ pub(super) const LOCAL_BITS: u32 = 13;
 pub(super) const STEPS: f64 = (1u32 << LOCAL_BITS) as f64;
 /// Bits of a cell's coordinate, an axis: three make one key.
 pub(super) const COORDINATE_BITS: u32 = 21;
+/// Bits of a position in steps, an axis.
+const STEP_BITS: u32 = COORDINATE_BITS + LOCAL_BITS;
 /// Cells along the scan's longest side, at most: one in 32 is left for the margin of the origin and for rounding.
 const MAX_CELLS_A_SIDE: f64 = ((1u32 << COORDINATE_BITS) - (1 << 16)) as f64;
+
+/// The same where most of the scan is only known to be about a place: what is in sixteen times its length is not far.
+const STRAY_CELLS_A_SIDE: f64 = (1u32 << (COORDINATE_BITS - 4)) as f64;
 
 /// 2^52 + 2^51: adding it leaves a double's nearest integer in the low bits of its mantissa.
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
@@ -21,7 +27,60 @@ const ROUNDER: f64 = 6_755_399_441_055_744.0;
 /// A position in steps of 1/8192 cell from the grid's origin, an axis below 2³⁴.
 pub(super) type Steps = [u64; 3];
 
+/// Far cells are `1 << FAR_BITS` times as wide as the others, so that one is as wide as all of those together.
+const FAR_BITS: u32 = COORDINATE_BITS;
+/// Set in the third step of a position in a far cell, just above the bits of near ones: it ends up on top of keys.
+const FAR: u64 = 1 << STEP_BITS;
+/// The far cell in which all others are, an axis.
+const MIDDLE: i64 = 1 << (COORDINATE_BITS - 1);
+
+/// Where the scan is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Place {
+    frame: Frame,
+    /// In the frame.
+    min: DVec3,
+    max: DVec3,
+    /// Whether something may be far outside.
+    stray: bool,
+}
+
+impl Place {
+    /// All of the scan is in `extent`, which is in the file's units.
+    pub(super) fn within(frame: Frame, extent: &Extent) -> Self {
+        let framed = |p: DVec3| DVec3::from(p.to_array().map(|x| frame.to_frame(x)));
+        Place { frame, min: framed(extent.min), max: framed(extent.max), stray: false }
+    }
+
+    /// Most of it is.
+    pub(super) fn about(frame: Frame, extent: &Extent) -> Self {
+        Place { stray: true, ..Self::within(frame, extent) }
+    }
+
+    /// Between the file's units and the grid's.
+    pub(super) fn frame(&self) -> Frame {
+        self.frame
+    }
+
+    fn longest(&self) -> f64 {
+        (self.max - self.min).max_element()
+    }
+
+    /// The least side that a cell may have, in the frame.
+    fn finest(&self) -> f64 {
+        self.longest() / if self.stray { STRAY_CELLS_A_SIDE } else { MAX_CELLS_A_SIDE }
+    }
+
+    /// The side of cells under `sizing`.
+    pub(super) fn side(&self, sizing: &Sizing) -> f64 {
+        sizing.side(self.finest(), self.longest())
+    }
+}
+
 /// Where the cells are.
+///
+/// Cells have 21 bits of coordinate an axis. That is more than any scan needs, but not more than the distance of a stray
+/// point can be: what is beyond lies in *far* cells, each as wide as all the others together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Grid {
     frame: Frame,
@@ -33,43 +92,55 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long) about a scan
-    /// whose least corner is `min` in the file's units. The origin is a quarter cell below it: a flat side of an
-    /// axis-aligned model then lies inside a layer of cells, not on the wall between two.
-    pub(super) fn new(frame: Frame, min: DVec3, cell: f64) -> Self {
-        let cell = cell.max(Self::finest());
-        let min = DVec3::new(frame.to_frame(min.x), frame.to_frame(min.y), frame.to_frame(min.z));
-        Grid { frame, origin: min - 0.25 * cell, cell, steps_per_unit: STEPS / cell }
+    /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long). The origin is a
+    /// quarter cell below the scan: a flat side of an axis-aligned model then lies inside a layer of cells, not on the
+    /// wall between two. About a scan with strays, cells go equally far to all sides.
+    pub(super) fn new(place: Place, cell: f64) -> Self {
+        let cell = if cell > place.finest() { cell } else { place.finest().max(f64::MIN_POSITIVE) };
+        let origin = if place.stray {
+            0.5 * (place.min + place.max) - cell * (1u32 << (COORDINATE_BITS - 1)) as f64
+        } else {
+            place.min - 0.25 * cell
+        };
+        Grid { frame: place.frame, origin, cell, steps_per_unit: STEPS / cell }
     }
 
-    /// The least side that a cell may have, in the frame, whose scans are at most 1 long.
-    pub(super) fn finest() -> f64 {
-        1.0 / MAX_CELLS_A_SIDE
-    }
-
-    /// The steps of a position in the file's units; `None` when it is not finite.
+    /// The steps of a position in the file's units; `None` when it is not finite, or further off than even far cells are.
     #[inline(always)]
     pub(super) fn steps(&self, p: [f64; 3]) -> Option<Steps> {
         let f = self.frame;
         let p = DVec3::new(f.to_frame(p[0]), f.to_frame(p[1]), f.to_frame(p[2]));
         let s = (p - self.origin) * self.steps_per_unit;
-        // False for whatever is not a number or not within the extent; infinities of opposite sign sum to NaN.
-        let sum = s.x + s.y + s.z;
-        (0.0..4.0 * MAX_CELLS_A_SIDE * STEPS).contains(&sum).then(|| [round(s.x), round(s.y), round(s.z)])
+        let steps = [round(s.x), round(s.y), round(s.z)];
+        if (steps[0] | steps[1] | steps[2]) >> STEP_BITS == 0 { Some(steps) } else { far_steps(s) }
     }
 
-    /// The position in the frame of a place `local` (in cells, about the cell's centre) in the cell `key`.
+    /// The position in the frame of a place `local` (in the cell's sides, about its centre) in the cell `key`.
     #[inline]
     pub(super) fn position(&self, key: u64, local: DVec3) -> DVec3 {
-        let [x, y, z] = coordinates(key);
-        self.origin + (DVec3::new(x as f64, y as f64, z as f64) + 0.5 + local) * self.cell
+        let [x, y, z] = least_corner(key);
+        self.origin + DVec3::new(x as f64, y as f64, z as f64) * (self.cell / STEPS) + (0.5 + local) * self.side(key)
+    }
+
+    /// The side of the cell `key` in the frame.
+    #[inline]
+    pub(super) fn side(&self, key: u64) -> f64 {
+        if is_far(key) { self.cell * (1u64 << FAR_BITS) as f64 } else { self.cell }
     }
 }
 
-/// The nearest integer of a number in `0..2^51`.
+/// The steps of a position in a far cell, from its steps from the origin.
+#[cold]
+fn far_steps(s: DVec3) -> Option<Steps> {
+    let far = s / (1u64 << FAR_BITS) as f64 + (MIDDLE << LOCAL_BITS) as f64;
+    let [x, y, z] = [round(far.x), round(far.y), round(far.z)];
+    ((x | y | z) >> STEP_BITS == 0).then_some([x, y, z | FAR])
+}
+
+/// The nearest integer of a number in `0..2^51`; more than that of any other, and of what is none.
 #[inline(always)]
 fn round(x: f64) -> u64 {
-    (x + ROUNDER).to_bits() & ((1 << 51) - 1)
+    (x + ROUNDER).to_bits().wrapping_sub(ROUNDER.to_bits())
 }
 
 /// The key of the cell that holds a position.
@@ -78,11 +149,31 @@ pub(super) fn cell_key(s: Steps) -> u64 {
     (s[0] >> LOCAL_BITS) | (s[1] >> LOCAL_BITS) << COORDINATE_BITS | (s[2] >> LOCAL_BITS) << (2 * COORDINATE_BITS)
 }
 
-/// A key's cell coordinates.
+/// A key's cell coordinates, for what is not far.
 #[inline(always)]
 pub(super) fn coordinates(key: u64) -> [i64; 3] {
     const MASK: u64 = (1 << COORDINATE_BITS) - 1;
     [(key & MASK) as i64, (key >> COORDINATE_BITS & MASK) as i64, (key >> (2 * COORDINATE_BITS) & MASK) as i64]
+}
+
+/// Whether a key is of a far cell.
+#[inline(always)]
+pub(super) fn is_far(key: u64) -> bool {
+    key >> (3 * COORDINATE_BITS) != 0
+}
+
+/// The least corner of the cell `key` in steps from the origin: below 2⁵⁵ either way.
+#[inline]
+pub(super) fn least_corner(key: u64) -> [i64; 3] {
+    let at = coordinates(key);
+    if is_far(key) { at.map(|x| (x - MIDDLE) << (FAR_BITS + LOCAL_BITS)) } else { at.map(|x| x << LOCAL_BITS) }
+}
+
+/// A corner in steps from the origin.
+pub(super) fn absolute(corner: Corner, key: u64) -> [i64; 3] {
+    let (least, local) = (least_corner(key), corner.local());
+    let shift = if is_far(key) { FAR_BITS } else { 0 };
+    std::array::from_fn(|axis| least[axis] + (i64::from(local[axis]) << shift))
 }
 
 /// A binned corner: 25 bits of cell number and three times 13 bits of place in the cell.
@@ -122,24 +213,45 @@ impl Corner {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::Extent;
 
     #[test]
     fn positions_survive_binning_to_half_a_step() {
         let extent = Extent { min: DVec3::new(-3.0, 5e5, 0.0), max: DVec3::new(4.0, 5e5 + 2.0, 1.5) };
-        let grid = Grid::new(Frame::of(&extent), extent.min, 0.01);
-        for p in [extent.min, extent.max, DVec3::new(0.1, 5e5 + 0.7, 1.1)] {
-            let s = grid.steps(p.to_array()).unwrap();
-            let local = Corner::new(7, s).local().map(f64::from);
-            let local = DVec3::from(local) / STEPS - 0.5;
-            let back = grid.position(cell_key(s), local) - p / 8.0;
-            assert!(back.abs().max_element() <= 0.5001 * grid.cell / STEPS, "{p} moved by {back}");
+        for place in [Place::within(Frame::of(&extent), &extent), Place::about(Frame::of(&extent), &extent)] {
+            let grid = Grid::new(place, 0.01);
+            for p in [extent.min, extent.max, DVec3::new(0.1, 5e5 + 0.7, 1.1)] {
+                let s = grid.steps(p.to_array()).unwrap();
+                let corner = Corner::new(7, s);
+                let local = DVec3::from(corner.local().map(f64::from)) / STEPS - 0.5;
+                let back = grid.position(cell_key(s), local) - p / 8.0;
+                assert!(back.abs().max_element() <= 0.5001 * grid.cell / STEPS, "{p} moved by {back}");
+                assert_eq!(absolute(corner, cell_key(s)), s.map(|x| x as i64));
+            }
         }
     }
 
     #[test]
+    fn what_is_far_is_binned_too() {
+        let extent = Extent { min: DVec3::ZERO, max: DVec3::ONE };
+        let grid = Grid::new(Place::about(Frame::default(), &extent), 0.01);
+        for p in [[1e9, 0.5, 0.5], [-3e5, 2e4, -1.0], [0.0, 0.0, 8e9]] {
+            let s = grid.steps(p).unwrap();
+            let key = cell_key(s);
+            assert!(is_far(key) && !is_far(cell_key(grid.steps([0.5; 3]).unwrap())));
+            let corner = Corner::new(7, s);
+            let local = DVec3::from(corner.local().map(f64::from)) / STEPS - 0.5;
+            let off = (grid.position(key, local) - DVec3::from(p)).abs().max_element();
+            assert!(off <= 0.51 * grid.side(key) / STEPS, "{p:?} is off by {off}");
+            let steps = DVec3::from(absolute(corner, key).map(|x| x as f64)) * (grid.cell / STEPS);
+            assert!((steps + grid.origin - DVec3::from(p)).abs().max_element() <= 0.51 * grid.side(key) / STEPS);
+        }
+        assert_eq!(grid.steps([1e12, 0.0, 0.0]), None);
+    }
+
+    #[test]
     fn what_is_not_finite_is_nowhere() {
-        let grid = Grid::new(Frame::default(), DVec3::ZERO, 0.1);
+        let extent = Extent { min: DVec3::ZERO, max: DVec3::ONE };
+        let grid = Grid::new(Place::within(Frame::default(), &extent), 0.1);
         for x in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             for p in [[x, 0.0, 0.0], [0.5, x, 0.5], [x, 0.2, -x]] {
                 assert_eq!(grid.steps(p), None, "{p:?}");

@@ -10,6 +10,7 @@
 use super::corners::{Feed, Sink};
 use super::grid::Corner;
 use super::spill::SpillFile;
+use super::used::Used;
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::{Scratch, ScratchFile};
@@ -135,7 +136,7 @@ impl<'a> Buffers<'a> {
 pub(super) fn stream<K: Sink>(
     scan: &Scan,
     crew: &Crew,
-    spill: &SpillFile,
+    (spill, used): (&SpillFile, &Used),
     scratch: &Scratch,
     resident_bytes: u64,
     sink: impl Fn() -> K + Sync,
@@ -158,8 +159,16 @@ pub(super) fn stream<K: Sink>(
         for known in 1..3 {
             files.extend(partial[known - 1][range].take().map(|file| (known, file)));
         }
-        let sweep =
-            Sweep { cut, range, first: first as u32, corners: &corners[..count], files, partial: &partial, scratch };
+        let sweep = Sweep {
+            cut,
+            range,
+            first: first as u32,
+            corners: &corners[..count],
+            used,
+            files,
+            partial: &partial,
+            scratch,
+        };
         sweep.run(crew, &mut feeds)?;
     }
     Ok(feeds)
@@ -212,6 +221,7 @@ struct Sweep<'a> {
     range: usize,
     first: u32,
     corners: &'a [Corner],
+    used: &'a Used,
     /// Corners known a record, and where the records are.
     files: Vec<(usize, ScratchFile)>,
     /// Faces with one and with two corners known, by the range where they wait.
@@ -271,10 +281,13 @@ impl Sweep<'_> {
         for (corner, vertex) in face[known..].iter_mut().zip(vertices) {
             match self.corners.get(vertex.wrapping_sub(self.first) as usize) {
                 Some(found) if *found == Corner::NOWHERE => {
-                    feed.miss(*vertex);
+                    feed.miss(u64::from(*vertex));
                     return Ok(());
                 }
-                Some(found) => *corner = *found,
+                Some(found) => {
+                    self.used.add(*vertex);
+                    *corner = *found;
+                }
                 None => left += 1,
             }
         }

@@ -5,7 +5,7 @@
 //! placed where the squared distance to the planes it has learnt is least, and hands those planes on as its quadric.
 //! After Lindstrom, *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
 //!
-//! Passes over the scan: extent; vertices to the spill (`spill.rs`); faces to sums and survivors (`faces.rs`,
+//! Passes over the scan: extent and a count of cells (`survey.rs`); vertices to the spill (`spill.rs`); faces to sums and survivors (`faces.rs`,
 //! `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more (`border.rs`). A soup has no vertex
 //! pass: corners are binned as they come.
 //!
@@ -18,21 +18,23 @@
 //! **Does not promise** a manifold: sheets that are closer than a cell may touch, and a part smaller than a cell
 //! vanishes.
 //!
-//! **Memory**, in bytes ([`bytes_per_cell`], [`bytes_per_worker`]):
+//! **Memory** of arrays, in bytes a cell of the table ([`summing_bytes`], [`placing_bytes`]; [`bytes_per_worker`] beside
+//! them):
 //!
-//! | | a cell |
-//! |---|--:|
-//! | block table (330 a block for 10 cells), until placement | 33 |
-//! | key | 8 |
-//! | line of sums | 64 |
-//! | rank, later the cell's number | 4 |
-//! | face pass | **109** |
-//! | border pass: slot, and if all cells were open their sums of 48 | **161** |
-//! | placement, without the block table: quadric 44, position 12 or 24 | **132, 144** |
+//! | | binning | faces, borders | placement |
+//! |---|--:|--:|--:|
+//! | block table, 330 a block for 10 cells (a soup keeps it until placement) | 33 | | |
+//! | blocks in order, for the ranks | 2 | | |
+//! | key | 8 | 8 | 8 |
+//! | rank, later the cell's number | 4 | 4 | 8 |
+//! | line of sums; side table | | 69 | 69 |
+//! | quadric 44, position 12 or 24 | | | 56, 68 |
+//! | **in all** | **47** | **81** | **141, 153** |
 //!
-//! beside 12 bytes for each of `raw_faces`, 12 more for the survivors of netting while borders are looked for, up to
-//! `spill_resident_bytes`, and per worker the caches of the face pass. A spill that does not fit takes 8 bytes a
-//! vertex of scratch; a join takes 12 to 28 more a face.
+//! beside 12 bytes for each of `raw_faces` (of which borders are given what survivors leave) and, until placement, up to
+//! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12 to 28 more a
+//! face. A scan whose survivors, borders or overflowing sums need more than that is clustered again, coarser, or in
+//! more passes.
 
 mod border;
 mod corners;
@@ -43,25 +45,27 @@ mod represent;
 mod sizing;
 mod spill;
 mod sums;
+mod survey;
 mod survivors;
 mod table;
+mod used;
 
 use crate::error::{Error, Result};
-use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh};
+use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, Layout, Scan};
 use crate::scratch::Scratch;
 use border::{BorderWorker, Borders};
 use corners::{Corners, Feed};
 use faces::FaceWorker;
-use glam::DVec3;
-use grid::Grid;
+use grid::{Grid, Place};
 use represent::Evidence;
-use sizing::{SPARSE, Sizing};
+use sizing::Sizing;
 use spill::Spill;
 use sums::{Sums, Totals};
 use survivors::Survivors;
 use table::CellTable;
+use used::Used;
 
 /// Where a cell's representative goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -79,7 +83,7 @@ pub enum Representative {
 pub struct ClusterOptions {
     /// Where representatives go.
     pub representative: Representative,
-    /// Cells that the table has room for.
+    /// Cells that are to hold a vertex, at most and nearly.
     pub cells: usize,
     /// Surviving faces that may be held, coincident ones included.
     pub raw_faces: usize,
@@ -87,6 +91,27 @@ pub struct ClusterOptions {
     pub spill_resident_bytes: u64,
     /// Weight of open borders against the surface.
     pub boundary_weight: f64,
+    /// What the clustered mesh may be.
+    pub limit: MeshLimit,
+}
+
+/// How large a mesh may be: what its faces and vertices take together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeshLimit {
+    /// Bytes a face.
+    pub face_bytes: u64,
+    /// Bytes a vertex.
+    pub vertex_bytes: u64,
+    /// Bytes in all.
+    pub bytes: u64,
+}
+
+impl MeshLimit {
+    /// How many times as much as is allowed a mesh takes.
+    fn excess(&self, faces: usize, vertices: usize) -> f64 {
+        let bytes = faces as f64 * self.face_bytes as f64 + vertices as f64 * self.vertex_bytes as f64;
+        bytes / (self.bytes as f64).max(1.0)
+    }
 }
 
 /// A clustered scan.
@@ -115,6 +140,10 @@ pub struct ClusterStats {
     pub overflows: u32,
     /// Faces that repeat a corner in the scan itself.
     pub repeated_corner_faces: u64,
+    /// Faces without area, as far as the 8192nd part of a cell shows it, whose corners differ.
+    pub flat_faces: u64,
+    /// Vertices that no face uses but such as repeat a corner; `None` where there was no room to count them.
+    pub unreferenced_vertices: Option<u64>,
     /// Faces with corners in three cells, coincident ones included.
     pub surviving_faces: u64,
     /// Pairs of coincident faces of opposite orientation that were taken out.
@@ -130,20 +159,47 @@ pub struct ClusterStats {
 /// Most cells that a table can have.
 pub use grid::MAX_CELLS;
 
-/// Bytes that a cell takes at most, the few of a scan's that hold border aside (48 more each).
-pub const fn bytes_per_cell(double: bool) -> usize {
-    let placed = sums::LINE_BYTES + 8 + 4 + size_of::<PackedQuadric>() + if double { 24 } else { 12 };
-    let summed = sums::LINE_BYTES + CellTable::bytes(1 << 20).div_ceil(1 << 20) + 4 + 4;
-    if placed > summed { placed } else { summed }
+/// Bytes of arrays for `cells` cells while the scan streams past, beside those of `raw_faces` and the spill.
+pub const fn summing_bytes(cells: usize, layout: Layout) -> u64 {
+    let room = room(cells);
+    let ordering = CellTable::block_capacity(room) * 16;
+    let binned = CellTable::bytes(room) + ordering + room * 4;
+    let lines = room * (sums::LINE_BYTES + sums::SIDE_BYTES);
+    let summed = match layout {
+        Layout::Indexed => lines + room * 12,
+        Layout::Soup => lines + binned,
+    };
+    (if summed > binned { summed } else { binned }) as u64
+}
+
+/// Bytes of arrays for `cells` cells while representatives are placed, beside the faces.
+pub const fn placing_bytes(cells: usize, double: bool) -> u64 {
+    let a_cell = sums::LINE_BYTES + sums::SIDE_BYTES + 16 + size_of::<PackedQuadric>() + if double { 24 } else { 12 };
+    (room(cells) * a_cell) as u64
+}
+
+/// Cells that the table has room for: more than are aimed at, since the count that their size is chosen by is not exact.
+const fn room(cells: usize) -> usize {
+    let room = cells + cells / 16 + 64;
+    if room < MAX_CELLS { room } else { MAX_CELLS }
 }
 
 /// Bytes that each of `raw_faces` takes.
 pub const BYTES_PER_RAW_FACE: usize = survivors::TRIPLE_BYTES;
 
-/// Bytes that a worker takes, beside what reading does.
+/// Bytes that a worker takes, beside what reading does and [`bytes_per_spill_worker`].
 pub const fn bytes_per_worker() -> usize {
-    let spill = if spill::PAGE_CACHE_BYTES > join::WORKER_BYTES { spill::PAGE_CACHE_BYTES } else { join::WORKER_BYTES };
-    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + corners::FEED_BYTES + spill
+    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + corners::FEED_BYTES
+}
+
+/// Bytes that a worker takes for a spill that is not resident.
+pub const fn bytes_per_spill_worker() -> usize {
+    if spill::PAGE_CACHE_BYTES > join::WORKER_BYTES { spill::PAGE_CACHE_BYTES } else { join::WORKER_BYTES }
+}
+
+/// Bytes of the binned vertices of an indexed scan, all of them resident, and what is kept to count those that faces use.
+pub fn resident_spill_bytes(vertices: u64) -> u64 {
+    vertices.saturating_mul(8).saturating_add(used::bytes_for(vertices))
 }
 
 /// Clusters a scan. `S` should be the scalar that loses nothing of the scan's coordinates.
@@ -153,15 +209,12 @@ pub fn cluster<S: Coordinate>(
     scratch: &Scratch,
     options: &ClusterOptions,
 ) -> Result<Clustered<S>> {
-    let extent = extent(scan, crew)?;
-    extent.check(scan.path())?;
-    let frame = Frame::of(&extent);
     let sample = scan.sample(crew, SAMPLE)?;
     let coherent = sample.blocks_per_triangle < COHERENT;
-    let mut sizing = Sizing::of(&sample, frame, scan.triangle_count(), scan.vertex_count(), options.cells);
+    let (place, mut sizing) = survey::survey(scan, crew, &sample, options.cells)?;
     drop(sample);
-    let mut run =
-        Run { scan, crew, scratch, options, frame, min: extent.min, coherent, stats: ClusterStats::default() };
+    let stats = ClusterStats::default();
+    let mut run = Run { scan, crew, scratch, options, place, coherent, coarser_weights: 1.0, stats };
     let learnt = loop {
         run.stats.attempts += 1;
         if let Some(learnt) = run.attempt(&mut sizing)? {
@@ -179,30 +232,16 @@ const COHERENT: f64 = 0.3;
 /// Overflows after which cells double.
 const PATIENCE: u32 = 3;
 
-fn extent(scan: &Scan, crew: &Crew) -> Result<Extent> {
-    let include = |extent: &mut Extent, p: &[f64; 3]| extent.include(DVec3::from(*p));
-    let extents = match scan.layout() {
-        Layout::Indexed => scan.vertices(crew, Extent::default, |extent, chunk| {
-            chunk.positions.iter().for_each(|p| include(extent, p));
-            Ok(())
-        })?,
-        Layout::Soup => scan.soup(crew, Extent::default, |extent, chunk| {
-            chunk.triangles.as_flattened().iter().for_each(|p| include(extent, p));
-            Ok(())
-        })?,
-    };
-    Ok(extents.into_iter().fold(Extent::default(), Extent::union))
-}
-
 /// A clustering under way.
 struct Run<'a> {
     scan: &'a Scan,
     crew: &'a Crew<'a>,
     scratch: &'a Scratch,
     options: &'a ClusterOptions,
-    frame: Frame,
-    min: DVec3,
+    place: Place,
     coherent: bool,
+    /// What the unit of weight is to be multiplied by.
+    coarser_weights: f64,
     stats: ClusterStats,
 }
 
@@ -213,6 +252,8 @@ struct Learnt {
     spill: Option<Spill>,
     quantum: f64,
     totals: Totals,
+    ranks: Vec<u32>,
+    /// Netted.
     triples: Vec<[u32; 3]>,
 }
 
@@ -221,30 +262,35 @@ impl Run<'_> {
     fn attempt(&mut self, sizing: &mut Sizing) -> Result<Option<Learnt>> {
         let overflows = self.stats.overflows;
         let doubled = f64::from(1u32 << overflows.saturating_sub(PATIENCE).min(24));
-        let grid = Grid::new(self.frame, self.min, sizing.side() * doubled);
-        let table = CellTable::new(self.options.cells);
-        let mut spill = None;
+        let grid = Grid::new(self.place, self.place.side(sizing) * doubled);
+        let room = room(self.options.cells);
+        let mut table = CellTable::new(room);
+        let used = Used::within(self.scan, self.options.spill_resident_bytes);
+        let resident_bytes = self.options.spill_resident_bytes - used.bytes();
+        let (mut spill, mut ranks) = (None, Vec::new());
         let mut cells = sizing.occupied(grid.cell).max(1.0);
         if self.scan.layout() == Layout::Indexed {
-            let s = Spill::new(self.scan.vertex_count(), self.options.spill_resident_bytes, self.scratch)?;
-            corners::bin_vertices(self.scan, self.crew, &grid, &table, &s)?;
+            let s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
+            corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.coherent, &s)?;
             if table.is_full() {
                 drop((table, s));
                 return self.overflowed(&grid, sizing);
             }
-            if self.is_sparse(&grid, &table, sizing) {
-                return Ok(None);
-            }
             cells = (table.len() as f64).max(1.0);
+            ranks = table.ranks();
+            table.keep_keys();
             spill = Some(s);
         }
-        let quantum = quantum(sizing.area / (cells * grid.cell * grid.cell));
-        let sums = Sums::new(if spill.is_some() { table.len() } else { self.options.cells });
+        let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
+        let sums = Sums::new(if spill.is_some() { table.len() } else { room });
         let survivors = Survivors::new(self.options.raw_faces);
         let worker = || FaceWorker::new(&table, &sums, &survivors, quantum, self.coherent);
-        let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+        let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &used, worker)?;
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
+        self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
+        self.stats.unreferenced_vertices = used.unused(self.scan.vertex_count());
+        drop(used);
         for mut feed in feeds {
             feed.sink.flush();
         }
@@ -253,36 +299,45 @@ impl Run<'_> {
             return self.overflowed(&grid, sizing);
         }
         if survivors.overflowed() {
-            self.stats.overflows += 1;
-            sizing.coarsen(survivors.count() as f64 / (0.9 * self.options.raw_faces as f64).max(1.0));
+            return Ok(self.coarsen(sizing, survivors.count() as f64 / (self.options.raw_faces as f64).max(1.0)));
+        }
+        if sums.overflowed() {
+            self.coarser_weights *= 64.0;
             return Ok(None);
         }
-        let (totals, triples) = (sums.into_totals(), survivors.into_triples());
-        Ok(Some(Learnt { grid, table, spill, quantum, totals, triples }))
+        let (totals, mut triples) = (sums.into_totals(), survivors.into_triples());
+        if spill.is_none() {
+            ranks = table.ranks();
+        }
+        self.stats.surviving_faces = triples.len() as u64;
+        self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, self.crew)?;
+        let excess = self.options.limit.excess(triples.len(), ranks.len());
+        if excess > 1.0 {
+            return Ok(self.coarsen(sizing, excess));
+        }
+        triples.shrink_to_fit();
+        Ok(Some(Learnt { grid, table, spill, quantum, totals, ranks, triples }))
     }
 
     /// Learns from a table that had no room.
     fn overflowed<T>(&mut self, grid: &Grid, sizing: &mut Sizing) -> Result<Option<T>> {
         self.stats.overflows += 1;
-        let (cells, blocks) = sizing::count(self.scan, self.crew, grid, self.options.cells)?;
+        let (cells, blocks) = survey::count(self.scan, self.crew, grid)?;
         sizing.learn(grid.cell, cells, blocks);
         Ok(None)
     }
 
-    /// Whether finer cells would fit, and learns how much finer.
-    fn is_sparse(&self, grid: &Grid, table: &CellTable, sizing: &mut Sizing) -> bool {
-        let capacity = self.options.cells as f64;
-        if self.stats.overflows > 0 || self.stats.attempts > 2 || table.len() as f64 >= SPARSE * capacity {
-            return false;
-        }
-        sizing.learn(grid.cell, table.len() as f64, table.blocks() as f64);
-        sizing.side().max(Grid::finest()) < 0.93 * grid.cell
+    /// Has the next attempt make do with less.
+    fn coarsen<T>(&mut self, sizing: &mut Sizing, excess: f64) -> Option<T> {
+        self.stats.overflows += 1;
+        sizing.coarsen(1.05 * excess);
+        None
     }
 
     fn corners<'b>(&'b self, spill: &'b Option<Spill>, grid: &'b Grid, table: &'b CellTable) -> Corners<'b> {
         match spill {
             None => Corners::Soup(grid, table),
-            Some(Spill::Resident(all)) => Corners::Resident(all),
+            Some(Spill::Resident(all)) => Corners::Resident { all, coherent: self.coherent },
             Some(Spill::Filed(spill)) if self.coherent => Corners::Paged(spill),
             Some(Spill::Filed(spill)) => {
                 let resident_bytes = self.options.spill_resident_bytes;
@@ -298,25 +353,31 @@ impl Run<'_> {
         }
     }
 
-    fn nowhere(&self, vertex: u32) -> Error {
-        let what = "a coordinate is not finite, but a face uses the vertex".into();
-        self.scan.vertex_error(u64::from(vertex), what)
+    fn nowhere(&self, vertex: u64) -> Error {
+        let what = "a coordinate is not finite, or beyond all measure far from the rest, but a face uses it".into();
+        self.scan.vertex_error(vertex, what)
     }
 
-    /// Nets the survivors, holds borders, places representatives.
+    /// Cells whose borders can be summed at one time: in what survivors have left of their room.
+    fn open_at_once(&self, triples: usize, cells: usize) -> usize {
+        let room = BYTES_PER_RAW_FACE * self.options.raw_faces;
+        let taken = BYTES_PER_RAW_FACE * triples + border::BYTES_A_CELL * cells;
+        (room.saturating_sub(taken) / border::BYTES_AN_OPEN_CELL).max(cells / 16).max(1)
+    }
+
+    /// Holds borders, places representatives.
     fn finish<S: Coordinate>(mut self, learnt: Learnt) -> Result<Clustered<S>> {
-        let Learnt { grid, mut table, spill, quantum, mut totals, mut triples } = learnt;
-        let ranks = table.ranks();
+        let Learnt { grid, mut table, spill, quantum, mut totals, ranks, mut triples } = learnt;
+        let frame = self.place.frame();
         self.stats.occupied_cells = ranks.len() as u64;
-        self.stats.surviving_faces = triples.len() as u64;
         self.stats.outgrown_cells = totals.outgrown() as u64;
-        self.stats.cell_size = self.frame.to_file(grid.cell);
-        self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, self.crew)?;
+        self.stats.cell_size = frame.to_file(grid.cell);
         let open = border::open_cells(&triples, ranks.len());
-        if let Some(borders) = Borders::new(&open, &ranks) {
-            self.stats.border_cells = borders.len() as u64;
+        self.stats.border_cells = open.iter().filter(|open| **open).count() as u64;
+        for ranks_together in border::shares(&open, self.open_at_once(triples.len(), ranks.len())) {
+            let borders = Borders::new(&open, &ranks, ranks_together);
             let worker = || BorderWorker { table: &table, borders: &borders };
-            corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), worker)?;
+            corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &Used::nothing(), worker)?;
             borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
         drop(spill);
@@ -332,7 +393,7 @@ impl Run<'_> {
         };
         let (positions, quadrics) = evidence.represent(&cells, self.crew);
         let mesh = IndexedMesh { positions, faces: triples };
-        Ok(Clustered { mesh, frame: self.frame, quadrics, stats: self.stats })
+        Ok(Clustered { mesh, frame, quadrics, stats: self.stats })
     }
 }
 

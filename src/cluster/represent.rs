@@ -50,12 +50,11 @@ impl Evidence<'_> {
         };
         let key = self.table.key(cell);
         let position = narrow::<S>(self.grid.position(key, local));
-        // The quadric goes about the position as it is stored.
-        let h = self.grid.cell;
+        // The quadric goes about the position as it is stored. Weights are areas in ordinary cells, lengths in this one.
+        let (h, area) = (self.grid.side(key), self.grid.cell * self.grid.cell);
         let stored = (widen(position) - self.grid.position(key, DVec3::ZERO)) / h;
         let q = quadric.shifted(stored);
-        let area = h * h;
-        let framed = Quadric { a: q.a.map(|x| x * area), b: q.b * (area * h), c: q.c * (area * area), w: q.w * area };
+        let framed = Quadric { a: q.a.map(|x| x * area), b: q.b * (area * h), c: q.c * (area * h * h), w: q.w * area };
         (position, framed.pack())
     }
 

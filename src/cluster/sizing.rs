@@ -2,63 +2,84 @@
 //!
 //! A plane of area `A` crosses about `A (|nx| + |ny| + |nz|) / h²` cells of side `h`; of the cells that a surface
 //! crosses, those without a vertex stay empty, which for `V` vertices spread over `C` cells leaves `C (1 − e^(−V/C))`.
-//! The side is chosen so that this fills most of the table. Only basic arithmetic is used: the same on every machine.
+//! That is summed over the faces of the sample, since a scan may be dense here and coarse there, and since a stray face
+//! of any size has then no more than its share of the vertices. Only basic arithmetic is used: the same on every
+//! machine.
 
-use super::grid::{Grid, cell_key};
-use super::table::{CellTable, block_key, mix};
-use crate::error::Result;
+use super::table::CellTable;
 use crate::mesh::Frame;
-use crate::read::{Crew, Layout, Sample, Scan};
+use crate::read::{Layout, Sample, Scan};
 use glam::DVec3;
-use rustc_hash::FxHashSet;
 
-/// Share of the table that should fill. The sample's estimate is within 10 % on scans; the rest is margin.
-const FILL: f64 = 0.78;
-/// A table that is less full than this is worth another pass over the vertices.
-pub(super) const SPARSE: f64 = 0.55;
+/// Share of the wanted cells that are aimed at: what a count from a sample of blocks is off by, on scans.
+const FILL: f64 = 0.99;
+
+/// Faces of the sample are taken together where the largest is at most this many times as large as the smallest.
+const ALIKE: f64 = 1.2;
+
+/// The least area of a face, as a share of its longest edge's square: a sliver crosses as many cells as the edge does.
+const SLIVER: f64 = 1e-3;
+
+/// A face of more than so many cells' area counts as one of that area where the mean weight of cells is estimated.
+const LARGEST: f64 = 64.0;
 
 /// What is known of a scan's surface, in the frame.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Sizing {
-    /// Estimated area.
-    pub(super) area: f64,
-    /// Estimated area, each part by the 1-norm of its normal: what counts for cells. Corrected by counts.
-    crossed: f64,
+    /// Areas of the sample's faces.
+    areas: Vec<f64>,
+    /// The same by the 1-norm of their normals, which is what counts for cells: means of groups, and how many are in each.
+    crossed: Vec<(f64, f64)>,
+    /// Faces of the scan for one of the sample.
+    scale: f64,
+    /// Vertices for each face.
     vertices: f64,
+    /// What counts have shown `crossed` to be off by.
+    correction: f64,
     cells: f64,
     blocks: f64,
 }
 
 impl Sizing {
-    /// From a sample of a scan with `triangles` faces and `vertices` vertices, for a table of `cells` cells.
-    pub(super) fn of(sample: &Sample, frame: Frame, triangles: u64, vertices: u64, cells: usize) -> Self {
-        let (mut area, mut crossed) = (0.0, 0.0);
+    /// From a sample of a scan, for `cells` cells.
+    pub(super) fn of(sample: &Sample, frame: Frame, scan: &Scan, cells: usize) -> Self {
+        let (mut areas, mut crossed) = (Vec::new(), Vec::new());
         for triangle in &sample.triangles {
             let [a, b, c] = triangle.map(|p| DVec3::from(p.map(|x| frame.to_frame(x))));
             let cross = 0.5 * (b - a).cross(c - a);
-            if cross.is_finite() {
-                area += cross.length();
-                crossed += cross.abs().element_sum();
+            let longest_sq = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            if longest_sq.is_finite() && cross.is_finite() {
+                areas.push(cross.length());
+                crossed.push(cross.abs().element_sum().max(SLIVER * longest_sq));
             }
         }
-        let scale = triangles as f64 / (sample.triangles.len() as f64).max(1.0);
+        crossed.sort_unstable_by(f64::total_cmp);
+        let faces = scan.triangle_count() as f64;
+        let vertices = match scan.layout() {
+            Layout::Indexed => scan.vertex_count() as f64,
+            // As on a closed surface.
+            Layout::Soup => 0.5 * faces,
+        };
         Sizing {
-            area: area * scale,
-            crossed: crossed * scale,
-            vertices: (vertices as f64).max(1.0),
+            crossed: groups(&crossed),
+            scale: faces / (areas.len() as f64).max(1.0),
+            areas,
+            vertices: (vertices / faces.max(1.0)).clamp(1e-3, 3.0),
+            correction: 1.0,
             cells: cells as f64,
             blocks: CellTable::block_capacity(cells) as f64,
         }
     }
 
-    /// The side of cells, in the frame: the least whose cells and blocks are expected to fill the table as they should.
-    pub(super) fn side(&self) -> f64 {
+    /// The side of cells, in the frame, at least `finest` and at most `longest`: the least whose cells and blocks are
+    /// expected to fill the table as they should.
+    pub(super) fn side(&self, finest: f64, longest: f64) -> f64 {
         let fits =
             |side: f64| self.occupied(side) <= FILL * self.cells && self.occupied(4.0 * side) <= FILL * self.blocks;
-        let (mut low, mut high) = (Grid::finest(), 1.0);
-        if fits(low) {
-            return low;
+        if fits(finest) {
+            return finest;
         }
+        let (mut low, mut high) = (finest, longest.max(finest));
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
             if fits(middle) { high = middle } else { low = middle }
@@ -68,33 +89,65 @@ impl Sizing {
 
     /// How many cells of a side are expected to hold a vertex.
     pub(super) fn occupied(&self, side: f64) -> f64 {
-        let crossed = (self.crossed / (side * side)).max(1.0);
-        crossed * (1.0 - decay(self.vertices / crossed))
+        self.occupied_if(side, self.correction)
+    }
+
+    fn occupied_if(&self, side: f64, correction: f64) -> f64 {
+        let factor = correction / (side * side);
+        let cells = |(crossed, faces): &(f64, f64)| faces * holding(crossed * factor, self.vertices);
+        self.scale * self.crossed.iter().map(cells).sum::<f64>()
+    }
+
+    /// The surface in cells of a side. A few faces of enormous size do not count for more than many.
+    pub(super) fn area(&self, side: f64) -> f64 {
+        self.scale * self.areas.iter().map(|area| (area / (side * side)).min(LARGEST)).sum::<f64>()
     }
 
     /// Learns that at `side`, `cells` cells and `blocks` blocks hold a vertex.
     pub(super) fn learn(&mut self, side: f64, cells: f64, blocks: f64) {
-        let by_cells = self.crossed_by(cells) * side * side;
-        let by_blocks = self.crossed_by(blocks) * 16.0 * side * side;
+        // A soup does not say how many vertices it has.
+        let faces = self.scale * self.areas.len() as f64;
+        self.vertices = self.vertices.max(1.2 * cells / faces.max(1.0));
         // Each count says how much surface there is at its scale; what matters is the one that is nearer its limit.
-        self.crossed = if blocks / self.blocks > cells / self.cells { by_blocks } else { by_cells };
+        self.correction = if blocks / self.blocks > cells / self.cells {
+            self.correction_for(4.0 * side, blocks)
+        } else {
+            self.correction_for(side, cells)
+        };
     }
 
-    /// Makes room for a factor more of survivors.
+    /// Makes room for a factor more of what did not fit.
     pub(super) fn coarsen(&mut self, factor: f64) {
-        self.crossed *= factor;
+        self.correction *= factor;
     }
 
-    /// The number of cells that must be crossed for `occupied` to hold a vertex.
-    fn crossed_by(&self, occupied: f64) -> f64 {
-        let (mut low, mut high) = (occupied, occupied * 64.0);
+    /// The correction under which `occupied` cells of `side` are expected.
+    fn correction_for(&self, side: f64, occupied: f64) -> f64 {
+        let (mut low, mut high) = (1e-12f64, 1e12f64);
         for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            let holds = middle * (1.0 - decay(self.vertices / middle));
-            if holds < occupied { low = middle } else { high = middle }
+            let middle = (low * high).sqrt();
+            if self.occupied_if(side, middle) < occupied { low = middle } else { high = middle }
         }
         high
     }
+}
+
+/// Means of groups of numbers in ascending order that are alike, and how many are in each.
+fn groups(numbers: &[f64]) -> Vec<(f64, f64)> {
+    let mut groups = Vec::new();
+    let mut rest = numbers;
+    while let Some(first) = rest.first() {
+        let (group, others) = rest.split_at(rest.partition_point(|x| *x <= ALIKE * first));
+        groups.push((group.iter().sum::<f64>() / group.len() as f64, group.len() as f64));
+        rest = others;
+    }
+    groups
+}
+
+/// How many of `cells` cells hold one of `vertices` vertices or more: `C (1 − e^(−V/C))`.
+fn holding(cells: f64, vertices: f64) -> f64 {
+    let each = vertices / cells.max(f64::MIN_POSITIVE);
+    if each < 1e-2 { vertices * (1.0 - 0.5 * each) } else { cells * (1.0 - decay(each)) }
 }
 
 /// `e^−x` for x ≥ 0 within a thousandth, by ten squarings.
@@ -106,39 +159,27 @@ fn decay(x: f64) -> f64 {
     y
 }
 
-/// Counts distinct cells and blocks of a grid that overflowed its table, from a sample of keys chosen by hash. In fixed
-/// memory, and the same whatever the order of vertices.
-pub(super) fn count(scan: &Scan, crew: &Crew, grid: &Grid, cells: usize) -> Result<(f64, f64)> {
-    // About 8192 keys for a table's worth, so that a count is within 2 %.
-    let shift = (cells / 8192).max(1).ilog2();
-    let chosen = |key: u64| mix(key) >> 20 & ((1 << shift) - 1) == 0;
-    let add = |(cells, blocks): &mut (FxHashSet<u64>, FxHashSet<u64>), p: &[f64; 3]| {
-        if let Some(steps) = grid.steps(*p) {
-            let (cell, block) = (cell_key(steps), block_key(steps));
-            if chosen(cell) {
-                cells.insert(cell);
-            }
-            if chosen(block) {
-                blocks.insert(block);
-            }
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_learnt_is_what_is_expected() {
+        let crossed = vec![(1e-6, 640.0), (4e-6, 300.0), (1e3, 2.0)];
+        let mut sizing = Sizing {
+            areas: vec![1e-6; 900],
+            crossed,
+            scale: 50.0,
+            vertices: 0.5,
+            correction: 1.0,
+            cells: 1000.0,
+            blocks: 100.0,
+        };
+        for (side, cells) in [(0.01, 700.0), (0.001, 9000.0), (0.02, 100.0)] {
+            sizing.learn(side, cells, cells / 20.0);
+            assert!((sizing.occupied(side) / cells - 1.0).abs() < 1e-6, "{side}");
         }
-    };
-    let sets = match scan.layout() {
-        Layout::Indexed => scan.vertices(crew, Default::default, |sets, chunk| {
-            chunk.positions.iter().for_each(|p| add(sets, p));
-            Ok(())
-        })?,
-        Layout::Soup => scan.soup(crew, Default::default, |sets, chunk| {
-            chunk.triangles.as_flattened().iter().for_each(|p| add(sets, p));
-            Ok(())
-        })?,
-    };
-    let union = |mut a: FxHashSet<u64>, b: FxHashSet<u64>| {
-        a.extend(b);
-        a
-    };
-    let (cells, blocks) = (sets.into_iter())
-        .fold((FxHashSet::default(), FxHashSet::default()), |a, b| (union(a.0, b.0), union(a.1, b.1)));
-    let scale = f64::from(1u32 << shift);
-    Ok((cells.len() as f64 * scale, blocks.len() as f64 * scale))
+        let side = sizing.side(1e-6, 1.0);
+        assert!((990.0 - sizing.occupied(side)).abs() < 1.0 || sizing.occupied(4.0 * side) > 98.0);
+    }
 }

@@ -13,6 +13,7 @@
 use glam::{Vec3A, Vec4, Vec4Swizzles};
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 /// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
@@ -35,6 +36,10 @@ const NOBODY: u32 = u32::MAX;
 
 /// Bytes of a cell's line.
 pub(super) const LINE_BYTES: usize = size_of::<Line>();
+/// One cell in so many may have sums in the side table, which takes about 150 bytes for each while it grows.
+const ASIDE: usize = 32;
+/// Bytes of the side table for each cell.
+pub(super) const SIDE_BYTES: usize = 5;
 /// Bytes of a worker's cache.
 pub(super) const CACHE_BYTES: usize = CACHED * (size_of::<Cached>() + 4);
 
@@ -46,6 +51,7 @@ struct Line(Mutex<[i32; LANES]>);
 pub(super) struct Sums {
     lines: Vec<Line>,
     side: Mutex<FxHashMap<u32, [i64; LANES]>>,
+    overflowed: AtomicBool,
 }
 
 /// One face's share in a cell, in quanta: about the cell's centre, lengths in cells. Single precision is finer than the
@@ -89,16 +95,10 @@ impl<'a> Gatherer<'a> {
         Gatherer { sums, cache: Box::new([Cached([0; PADDED]); CACHED]), owners: Box::new([NOBODY; CACHED]) }
     }
 
-    /// Adds a face's share to a cell.
+    /// Adds a face's share to a cell, by way of the cache: for faces whose neighbours come next.
     #[inline(always)]
     pub(super) fn add(&mut self, cell: u32, share: &Share) {
-        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
-            let wide =
-                share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
-            return self.sums.add_aside(cell, &unpad(&wide));
-        }
-        // A weight at the limit still fits 32 bits, and the other lanes are no larger.
-        let share = share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32);
+        let Some(share) = self.narrow(cell, share) else { return };
         let place = cell as usize % CACHED;
         let line = &mut self.cache[place].0;
         if self.owners[place] != cell || i64::from(line[PADDED_WEIGHT]) + i64::from(share[PADDED_WEIGHT]) > LIMIT {
@@ -108,6 +108,27 @@ impl<'a> Gatherer<'a> {
         for (sum, x) in line.iter_mut().zip(share) {
             *sum = sum.wrapping_add(x);
         }
+    }
+
+    /// Adds a face's share to a cell at once: for faces from anywhere, whose lines were fetched.
+    #[inline(always)]
+    pub(super) fn add_now(&mut self, cell: u32, share: &Share) {
+        if let Some(share) = self.narrow(cell, share) {
+            self.sums.add(cell, &share);
+        }
+    }
+
+    /// A share in the 32 bits of a line; what does not fit goes aside at once.
+    #[inline(always)]
+    fn narrow(&self, cell: u32, share: &Share) -> Option<[i32; PADDED]> {
+        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
+            let wide =
+                share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
+            self.sums.add_aside(cell, &unpad(&wide));
+            return None;
+        }
+        // A weight at the limit still fits 32 bits, and the other lanes are no larger.
+        Some(share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32))
     }
 
     /// Has the lines of cells that are about to be added to brought near, so that the waits for them overlap.
@@ -139,13 +160,23 @@ impl Sums {
     pub(super) fn new(cells: usize) -> Self {
         let mut lines = Vec::new();
         lines.resize_with(cells, Line::default);
-        Sums { lines, side: Mutex::default() }
+        Sums { lines, side: Mutex::default(), overflowed: AtomicBool::new(false) }
+    }
+
+    /// Whether more cells have outgrown their lines than there is room for: a larger unit of weight is needed.
+    pub(super) fn overflowed(&self) -> bool {
+        self.overflowed.load(Relaxed)
     }
 
     /// Adds a cached line to its owner's and empties it.
     #[inline(never)]
     fn write_back(&self, owner: u32, cached: &mut [i32; PADDED]) {
-        let gathered = unpad(&std::mem::replace(cached, [0; PADDED]));
+        self.add(owner, &std::mem::replace(cached, [0; PADDED]));
+    }
+
+    #[inline(always)]
+    fn add(&self, owner: u32, gathered: &[i32; PADDED]) {
+        let gathered = unpad(gathered);
         let Some(line) = self.lines.get(owner as usize) else { return };
         // A worker that panicked has left nothing half done here: lanes are added without a call that could.
         let mut line = line.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -162,6 +193,9 @@ impl Sums {
     #[cold]
     fn add_aside(&self, cell: u32, lanes: &[i64; LANES]) {
         let mut side = self.side.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if side.len() > self.lines.len() / ASIDE + 1024 {
+            return self.overflowed.store(true, Relaxed);
+        }
         let sums = side.entry(cell).or_insert([0; LANES]);
         for (sum, x) in sums.iter_mut().zip(lanes) {
             *sum = sum.wrapping_add(*x);

@@ -52,8 +52,10 @@ impl Survivors {
     /// The triples, in whatever order they came.
     pub(super) fn into_triples(self) -> Vec<[u32; 3]> {
         let count = self.count();
-        let mut cells: Vec<u32> = self.cells.into_iter().map(AtomicU32::into_inner).collect();
+        let mut cells = self.cells;
+        // Pages that no triple has touched stay untouched.
         cells.truncate(count * 3);
+        let mut cells: Vec<u32> = cells.into_iter().map(AtomicU32::into_inner).collect();
         let whole = cells.capacity() / 3 * 3;
         cells.shrink_to(whole);
         bytemuck::try_cast_vec(cells).unwrap_or_else(|(_, cells)| cells.as_chunks().0.to_vec())

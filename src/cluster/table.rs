@@ -148,11 +148,6 @@ impl CellTable {
         None
     }
 
-    /// Blocks met so far.
-    pub(super) fn blocks(&self) -> usize {
-        self.taken.load(Relaxed) as usize
-    }
-
     /// Cells met so far.
     pub(super) fn len(&self) -> usize {
         (self.cells.load(Relaxed) as usize).min(self.keys.len())
@@ -162,6 +157,21 @@ impl CellTable {
     #[inline(always)]
     pub(super) fn key(&self, cell: u32) -> u64 {
         self.keys[cell as usize].load(Relaxed)
+    }
+
+    /// Has the keys of such cells brought near, so that the waits for them overlap.
+    pub(super) fn fetch(&self, cells: impl Iterator<Item = u32>) {
+        std::hint::black_box(cells.fold(0, |bits, cell| bits | self.key(cell)));
+    }
+
+    /// Has the places where positions' cells are looked up first brought near.
+    pub(super) fn fetch_numbers(&self, steps: impl Iterator<Item = Steps>) {
+        let bits = steps.fold(0, |bits, s| {
+            let slot = spread(block_key(s) + 1, self.blocks.len());
+            let number = self.numbers[slot * 64 + place_in_block(s)].load(Relaxed);
+            bits | self.blocks[slot].load(Relaxed) | u64::from(number)
+        });
+        std::hint::black_box(bits);
     }
 
     /// Each cell's rank in Morton order: a numbering that only the set of cells decides, and in which neighbours in
@@ -220,9 +230,9 @@ pub(super) fn mix(key: u64) -> u64 {
     (hash ^ hash >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93)
 }
 
-/// A block key's coordinates, interleaved.
+/// A block key's coordinates, interleaved; what is above them stays there.
 fn morton(key: u64) -> u64 {
-    let mut code = 0;
+    let mut code = key >> (3 * BLOCK_BITS) << (3 * BLOCK_BITS);
     for bit in 0..BLOCK_BITS {
         for axis in 0..3 {
             code |= (key >> (axis * BLOCK_BITS + bit) & 1) << (3 * bit + axis);

@@ -21,6 +21,8 @@ pub struct LoadReport {
     pub unreferenced_vertices: u64,
     /// Triangles dropped because they repeat a corner, before or after welding.
     pub repeated_corner_faces: u64,
+    /// Triangles without area whose corners differ: they lie on a line.
+    pub flat_faces: u64,
     /// The box of all vertices that a face of the file uses, in the file's units.
     pub extent: Extent,
 }
@@ -87,6 +89,7 @@ fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<Loaded<S>
         duplicate_vertices: welded.duplicate_vertices,
         unreferenced_vertices: unreferenced + welded.unreferenced_vertices,
         repeated_corner_faces: welded.repeated_corner_faces,
+        flat_faces: flat_faces(&mesh),
         extent,
     };
     Ok((mesh, frame, report))
@@ -117,7 +120,8 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) ->
     let unreferenced_vertices = drop_unreferenced(&mut mesh, &referenced);
     let frame = Frame::of(&extent);
     scale(&mut mesh, frame);
-    let report = LoadReport { duplicate_vertices: 0, unreferenced_vertices, repeated_corner_faces, extent };
+    let flat_faces = flat_faces(&mesh);
+    let report = LoadReport { duplicate_vertices: 0, unreferenced_vertices, repeated_corner_faces, flat_faces, extent };
     Ok(Some((mesh, frame, report)))
 }
 
@@ -158,6 +162,14 @@ fn not_finite<S>(scan: &Scan, mesh: &IndexedMesh<S>, v: u32, p: DVec3) -> Error 
         what += &format!(", since face {face} uses them");
     }
     scan.vertex_error(v.into(), what)
+}
+
+fn flat_faces<S: Coordinate>(mesh: &IndexedMesh<S>) -> u64 {
+    let is_flat = |face: &&[u32; 3]| {
+        let [a, b, c] = face.map(|v| widen(mesh.positions[v as usize]));
+        (b - a).cross(c - a) == DVec3::ZERO
+    };
+    mesh.faces.iter().filter(is_flat).count() as u64
 }
 
 fn scale<S: Coordinate>(mesh: &mut IndexedMesh<S>, frame: Frame) {
@@ -313,7 +325,13 @@ mod tests {
         let extent = Extent { min: DVec3::ZERO, max: DVec3::new(4.0, 4.0, 7.0) };
         assert_eq!(
             report,
-            LoadReport { duplicate_vertices: 1, unreferenced_vertices: 4, repeated_corner_faces: 2, extent }
+            LoadReport {
+                duplicate_vertices: 1,
+                unreferenced_vertices: 4,
+                repeated_corner_faces: 2,
+                flat_faces: 0,
+                extent
+            }
         );
     }
 

@@ -192,6 +192,14 @@ impl Scan {
         }
     }
 
+    /// Polygons of fewer than three corners, which make no triangle.
+    pub fn short_polygons(&self) -> u64 {
+        match &self.body {
+            Body::Ply(ply) => ply.short_polygons,
+            Body::Stl(_) => 0,
+        }
+    }
+
     /// Bytes behind the last element, which nobody asked for.
     pub fn trailing_bytes(&self) -> u64 {
         match &self.body {

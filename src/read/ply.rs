@@ -37,6 +37,8 @@ pub(super) struct Ply {
     /// Where all faces are triangles.
     pub triangle_run: Option<(Run, TriangleRecord)>,
     pub triangles: u64,
+    /// Polygons of fewer than three corners.
+    pub short_polygons: u64,
     pub trailing: u64,
 }
 
@@ -57,6 +59,7 @@ impl Ply {
             vertex_run: None,
             triangle_run: None,
             triangles: 0,
+            short_polygons: 0,
             trailing: 0,
         };
         ply.check_elements().map_err(|what| refuse(&what))?;
@@ -129,6 +132,7 @@ impl Ply {
         }
         let counted = self.count(input, progress, &self.face, self.face_offset)?;
         self.triangles = counted.triangles;
+        self.short_polygons = self.face.count - counted.polygons;
         if counted.triangles == 0 {
             return Err(Error::input(input.path(), "has no usable face: every polygon has fewer than three corners"));
         }

@@ -68,6 +68,8 @@ pub(super) struct Records<'a, V> {
 pub(super) struct Counted {
     /// Triangles of all polygons.
     pub triangles: u64,
+    /// Polygons that make at least one.
+    pub polygons: u64,
     /// Whether every polygon is one triangle.
     pub all_triangles: bool,
     /// One past the last byte.
@@ -86,12 +88,13 @@ impl<'a, V: Values<'a>> Records<'a, V> {
 
     /// Passes over all records; counts the triangles that they make if they are faces.
     pub fn count(mut self) -> Result<Counted> {
-        let mut counted = Counted { triangles: 0, all_triangles: true, end: 0 };
+        let mut counted = Counted { triangles: 0, polygons: 0, all_triangles: true, end: 0 };
         if !self.element.properties.is_empty() {
             while self.pass_empty_lists()? {
                 let begin = self.values.at();
                 let n = self.count_one().map_err(|fault| self.error(begin, fault))?;
                 counted.triangles += n.saturating_sub(2);
+                counted.polygons += u64::from(n > 2);
                 counted.all_triangles &= n == 3;
                 self.ordinal += 1;
             }

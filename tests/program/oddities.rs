@@ -45,12 +45,40 @@ fn vertices_that_no_face_uses_cost_nothing_out_of_core() {
     let clean = torus(320, 200);
     let reference = thousand(&clean, Kind::Floats, TIGHT, "out-of-core");
     let mut mesh = clean.clone();
-    mesh.positions.extend([[f64::NAN, 0.0, 0.0], [f64::NEG_INFINITY, 1.0, f64::INFINITY]]);
+    mesh.positions.extend([[f64::NAN, 0.0, 0.0], [f64::NEG_INFINITY, 1.0, f64::INFINITY], [1e9, 0.0, -1e30]]);
     let done = thousand(&mesh, Kind::Floats, TIGHT, "out-of-core");
+    warns(&done, "unreferenced-vertices", "3 vertices");
     let growth = done.mesh.diagonal() / reference.mesh.diagonal();
     assert!((growth - 1.0).abs() < 0.01, "the diagonal is {growth} times as long");
     let cells = |done: &Done| done.report["cells"].as_f64().unwrap();
     assert!(cells(&done) > 0.9 * cells(&reference), "{} cells, {} without", cells(&done), cells(&reference));
+}
+
+#[test]
+fn faces_on_a_line() {
+    for (memory, mode, size) in MODES {
+        let mut mesh = torus(40 * size, 25 * size);
+        let first = mesh.positions.len() as u32;
+        mesh.positions.extend([[3.0, 0.0, 0.0], [3.5, 0.0, 0.0], [4.0, 0.0, 0.0]]);
+        mesh.faces.insert(700, [first, first + 1, first + 2]);
+        for kind in [Kind::Floats, Kind::Stl] {
+            warns(&thousand(&mesh, kind, memory, mode), "flat-faces", "1 face");
+        }
+    }
+}
+
+#[test]
+fn polygons_of_fewer_than_three_corners() {
+    for (memory, mode, size) in MODES {
+        let mesh = torus(40 * size, 25 * size);
+        let text = String::from_utf8(mesh.bytes(Kind::Text)).unwrap();
+        let (faces, more) = (mesh.faces.len(), mesh.faces.len() + 3);
+        let text = text.replace(&format!("element face {faces}\n"), &format!("element face {more}\n"));
+        let folder = Folder::new();
+        let scan = folder.file("scan", (text.trim_end().to_owned() + "\n2 0 1\n1 7\n0\n").into_bytes());
+        let done = folder.reduce(&scan, &["--faces", "1000", "--memory", memory]).done(mode);
+        warns(&done, "short-polygons", "3 polygons");
+    }
 }
 
 #[test]
