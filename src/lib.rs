@@ -44,6 +44,7 @@ pub mod cluster;
 pub mod collapse;
 pub mod error;
 pub mod job;
+pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod plan;

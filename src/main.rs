@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, RunArgs, SynthArgs};
-use meshmill::job::JobFile;
+use cli::{Cli, Command, CompareArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, JobFile};
 use meshmill::progress::Progress;
 use meshmill::report::{Failure, MeshFile, Synthesis, json};
 use meshmill::{Error, Result, pipeline, synth};
@@ -24,6 +24,7 @@ fn main() -> ExitCode {
     match Cli::try_parse_from(&args) {
         Ok(Cli { command: Command::Reduce(args) }) => reduce(args.into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
+        Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
@@ -50,6 +51,13 @@ fn run(args: RunArgs) -> ExitCode {
         }
         Err(error) => conclude(Err(error), args.json),
     }
+}
+
+fn compare(args: CompareArgs) -> ExitCode {
+    let in_json = args.json;
+    let comparison = ComparisonSaid::from(args).resolve();
+    let outcome = working(|progress| pipeline::compare(&comparison, progress));
+    conclude(outcome.map(|report| Saying { object: json(&report), lines: report.lines() }), in_json)
 }
 
 /// The job in full, as a job file that can be run from anywhere.

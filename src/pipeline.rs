@@ -1,5 +1,9 @@
 //! read → cluster → collapse → write: the order in which a scan goes through the mill.
 
+mod compare;
+
+pub use compare::compare;
+
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
@@ -20,11 +24,7 @@ const MOST_THREADS: usize = 64;
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
     let threads = job.threads.min(MOST_THREADS);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
-    pool.install(|| {
+    on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare(&job.output, Some(&job.input))?;
@@ -36,6 +36,15 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
             Scalar::F64 => run.through::<f64>(out),
         }
     })
+}
+
+/// Works with so many threads of rayon's.
+fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
+    pool.install(work)
 }
 
 /// One reduction under way.

@@ -19,6 +19,7 @@ use crate::budget::MIB;
 use crate::cluster;
 use crate::collapse;
 use crate::error::{Error, Result};
+use crate::measure;
 use crate::mesh::Coordinate;
 use crate::read::{Crew, Layout, Scan, load_peak_bytes};
 
@@ -67,7 +68,7 @@ impl Purse {
     }
 
     /// What is left for a stage's arrays. It does not depend on the workers: their share is set aside as a whole.
-    fn for_arrays(&self) -> u64 {
+    pub fn for_arrays(&self) -> u64 {
         self.bytes.saturating_sub(BASE_BYTES + aside(self.bytes))
     }
 
@@ -114,6 +115,9 @@ impl Purse {
     }
 }
 
+// A pass of measuring is paid for like one of clustering.
+const _: () = assert!(measure::bytes_per_worker() <= cluster::bytes_per_worker());
+
 /// What so many workers of a streaming pass take.
 fn streaming_bytes(workers: usize) -> u64 {
     Crew::stream_bytes(workers) + (workers * cluster::bytes_per_worker()) as u64
@@ -148,7 +152,7 @@ pub fn in_core_budget<S: Coordinate>(scan: &Scan) -> u64 {
 }
 
 /// The least budget whose arrays have that many bytes, in whole mebibytes.
-fn total_for(arrays: u64) -> u64 {
+pub fn total_for(arrays: u64) -> u64 {
     let small = (arrays.saturating_add(BASE_BYTES)) / 3 * 4 + MIB;
     let large = arrays.saturating_add(BASE_BYTES + streaming_bytes(8)) + MIB;
     if aside(small) == small / 4 { small } else { large }

@@ -18,12 +18,14 @@ pub enum Stage {
     Collapse = 2,
     /// Encoding, syncing and renaming the result.
     Write = 3,
+    /// Measuring how far two meshes are from each other.
+    Measure = 4,
 }
 
 impl Stage {
     /// The stage's word in reports and on the terminal.
     pub fn word(self) -> &'static str {
-        ["read", "cluster", "collapse", "write"][self as usize]
+        ["read", "cluster", "collapse", "write", "measure"][self as usize]
     }
 }
 
@@ -60,7 +62,8 @@ impl Progress {
             0 => Stage::Read,
             1 => Stage::Cluster,
             2 => Stage::Collapse,
-            _ => Stage::Write,
+            3 => Stage::Write,
+            _ => Stage::Measure,
         };
         (stage, self.done.load(Relaxed), self.total.load(Relaxed))
     }

@@ -2,6 +2,12 @@
 //!
 //! The JSON keys are a contract with scripts: [`SCHEMA`] changes when one of them does.
 
+mod comparison;
+
+pub use comparison::{
+    ComparisonReport, ComparisonTimeline, DeviationFigures, HeatmapFile, Shares, WayFigures, WayShares,
+};
+
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 use std::fmt;

@@ -1,8 +1,10 @@
 //! A job: what was said ([`JobFile`], from a file or the command line) and what will be done ([`Job`], resolved).
 
+mod comparison;
 mod file;
 mod quantity;
 
+pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, ReportTable, RunTable, ScanTable};
 pub use quantity::{Count, Length, Ratio, Threads, Weight};
 

@@ -1,0 +1,103 @@
+//! What is done with the faces that stream by, in each of the two passes.
+
+use super::patch::{FACES, Patch};
+use super::probes::Probes;
+use super::sample::{Spread, Stride, area_of};
+use super::stream::{Facet, Sink};
+use super::tally::{Sum, Tally};
+use crate::mesh::boxes::Origin;
+use crate::mesh::{Coordinate, Extent, Tree};
+use glam::{DVec3, Vec3};
+
+/// The first pass: how large the mesh is, and points on it.
+pub(super) struct Survey {
+    origin: Origin,
+    kept: Stride,
+    pub(super) area: Sum,
+    pub(super) extent: Extent,
+    pub(super) points: Vec<Vec3>,
+}
+
+impl Survey {
+    /// Of every so many faces, their middle is kept.
+    pub(super) fn new(origin: Origin, kept: Stride) -> Self {
+        Survey { origin, kept, area: Sum::default(), extent: Extent::default(), points: Vec::new() }
+    }
+
+    /// All workers' together. The order of the points depends on the workers; nothing depends on the order.
+    pub(super) fn merged(workers: Vec<Survey>) -> Survey {
+        let mut workers = workers.into_iter();
+        let Some(mut all) = workers.next() else { unreachable!("a pass has a worker") };
+        for worker in workers {
+            all.area.merge(&worker.area);
+            all.extent = all.extent.union(worker.extent);
+            all.points.extend(worker.points);
+        }
+        all
+    }
+}
+
+impl Sink for Survey {
+    fn take(&mut self, faces: &[Facet]) {
+        for facet in faces {
+            let [a, b, c] = facet.corners;
+            self.area.add(area_of(b - a, c - a));
+            self.extent.min = self.extent.min.min(a).min(b).min(c);
+            self.extent.max = self.extent.max.max(a).max(b).max(c);
+            if self.kept.takes(facet.number().into()) || self.points.is_empty() {
+                self.points.push(self.origin.about((a + b + c) / 3.0));
+            }
+        }
+    }
+}
+
+/// The second pass: both ways.
+pub(super) struct Measuring<'a, S> {
+    tree: &'a Tree<'a, S>,
+    probes: &'a Probes,
+    origin: Origin,
+    spread: Spread,
+    patch: Box<Patch>,
+    /// The face that was nearest to the last sample: the next one's is not far.
+    last: u32,
+    pub(super) tally: Tally,
+}
+
+impl<'a, S: Coordinate> Measuring<'a, S> {
+    /// Samples by `spread`, to be measured to `tree`; faces to be measured from `probes`.
+    pub(super) fn new(
+        tree: &'a Tree<'a, S>,
+        probes: &'a Probes,
+        origin: Origin,
+        spread: Spread,
+        nothing_sq: f64,
+    ) -> Self {
+        let tally = Tally::new(nothing_sq);
+        Measuring { tree, probes, origin, spread, patch: Box::default(), last: 0, tally }
+    }
+
+    #[inline]
+    fn measure(&mut self, is_vertex: bool, p: DVec3) {
+        let (face, distance_sq) = self.tree.search(p, self.last);
+        self.last = face;
+        self.tally.add(is_vertex, p.to_array(), distance_sq);
+    }
+}
+
+impl<S: Coordinate> Sink for Measuring<'_, S> {
+    fn take(&mut self, faces: &[Facet]) {
+        let spread = self.spread;
+        for facet in faces {
+            spread.over(facet.number(), facet.corners, |p| self.measure(false, p));
+            for (corner, p) in facet.corners.into_iter().enumerate() {
+                if facet.is_chosen(corner) {
+                    self.measure(true, p);
+                }
+            }
+        }
+        for faces in faces.chunks(FACES) {
+            self.patch.fill(faces, &self.origin);
+            self.probes.meet(&self.patch);
+        }
+    }
+}
