@@ -288,7 +288,7 @@ impl<S: Coordinate> Run<'_, S> {
         for (number, face) in (0..).zip(&mesh.faces) {
             spread.over(number, corners(face), |p| points.push(p));
         }
-        Probes::new(points, self.origin())
+        Probes::new(points, area.value(), self.origin())
     }
 
     /// What the probes have found; with shades, the deviation of each vertex as well.

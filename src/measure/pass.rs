@@ -51,6 +51,9 @@ impl Sink for Survey {
     }
 }
 
+/// Probes that could be met in the time that it takes to find those that are near.
+const ERRAND: f64 = 16.0;
+
 /// The second pass: both ways.
 pub(super) struct Measuring<'a, S> {
     tree: &'a Tree<'a, S>,
@@ -58,6 +61,8 @@ pub(super) struct Measuring<'a, S> {
     origin: Origin,
     spread: Spread,
     patch: Box<Patch>,
+    /// The area that it costs to bring something to the probes.
+    errand: f32,
     /// The face that was nearest to the last sample: the next one's is not far.
     last: u32,
     pub(super) tally: Tally,
@@ -72,8 +77,8 @@ impl<'a, S: Coordinate> Measuring<'a, S> {
         spread: Spread,
         nothing_sq: f64,
     ) -> Self {
-        let tally = Tally::new(nothing_sq);
-        Measuring { tree, probes, origin, spread, patch: Box::default(), last: 0, tally }
+        let (tally, errand) = (Tally::new(nothing_sq), (ERRAND * probes.spacing_sq()) as f32);
+        Measuring { tree, probes, origin, spread, patch: Box::default(), errand, last: 0, tally }
     }
 
     #[inline]
@@ -89,14 +94,14 @@ impl<S: Coordinate> Sink for Measuring<'_, S> {
         let spread = self.spread;
         for facet in faces {
             spread.over(facet.number(), facet.corners, |p| self.measure(false, p));
-            for (corner, p) in facet.corners.into_iter().enumerate() {
+            for (corner, p) in facet.corners.iter().enumerate() {
                 if facet.is_chosen(corner) {
-                    self.measure(true, p);
+                    self.measure(true, *p);
                 }
             }
         }
         for faces in faces.chunks(FACES) {
-            self.patch.fill(faces, &self.origin);
+            self.patch.fill(faces, &self.origin, self.errand);
             self.probes.meet(&self.patch);
         }
     }

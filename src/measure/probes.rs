@@ -21,6 +21,8 @@ const LEAF: usize = 8;
 /// Points whose nearest distance is looked for.
 pub(super) struct Probes {
     origin: Origin,
+    /// Of the mesh that they lie on.
+    area: f64,
     boxes: Boxes<LEAF>,
     /// Beside each node: the largest bound below each link, as bits of a loosened single.
     bounds: Vec<[AtomicU32; 4]>,
@@ -32,8 +34,8 @@ pub(super) struct Probes {
 }
 
 impl Probes {
-    /// Probes at these points, numbered as they come.
-    pub(super) fn new(points: Vec<DVec3>, origin: Origin) -> Self {
+    /// Probes at these points, which are spread over an area and numbered as they come.
+    pub(super) fn new(points: Vec<DVec3>, area: f64, origin: Origin) -> Self {
         let item = |(id, p): (usize, &DVec3)| Item { at: origin.about(*p), id: id as u32 };
         let mut items: Vec<Item> = points.par_iter().enumerate().map(item).collect();
         let pad = Vec3::splat(origin.pad());
@@ -42,7 +44,12 @@ impl Probes {
         let ids = items.iter().map(|item| item.id).collect();
         let bounds = boxes.nodes().iter().map(|_| Default::default()).collect();
         let best = points.iter().map(|_| AtomicU64::new(f64::INFINITY.to_bits())).collect();
-        Probes { origin, boxes, bounds, positions, ids, best }
+        Probes { origin, area, boxes, bounds, positions, ids, best }
+    }
+
+    /// The area for each probe.
+    pub(super) fn spacing_sq(&self) -> f64 {
+        self.area / (self.positions.len() as f64).max(1.0)
     }
 
     /// Each probe's number, place and least squared distance.
@@ -111,9 +118,10 @@ impl Probes {
     /// Returns the largest bound that is left below a node.
     fn meet_below(&self, node: usize, patch: &Patch, part: Part, around: &Lanes) -> f32 {
         let Node { boxes, links } = &self.boxes.nodes()[node];
-        for ((gap, link), bound) in boxes.gaps_sq(around).into_iter().zip(links).zip(&self.bounds[node]) {
+        let gaps = boxes.gaps_sq(around);
+        for ((gap, link), bound) in gaps.iter().zip(links).zip(&self.bounds[node]) {
             let before = f32::from_bits(bound.load(Relaxed));
-            if gap > before || *link == NOTHING {
+            if *gap > before || *link == NOTHING {
                 continue;
             }
             let after = match leaf_of(*link) {

@@ -85,10 +85,10 @@ impl Aabb {
         (self.min - p).max(p - self.max).max(Vec3::ZERO).length_squared()
     }
 
-    /// Length of the diagonal; 0 of an empty box.
+    /// The squared length of the diagonal; 0 of an empty box.
     #[inline(always)]
-    pub fn diagonal(&self) -> f32 {
-        (self.max - self.min).max(Vec3::ZERO).length()
+    pub fn diagonal_sq(&self) -> f32 {
+        (self.max - self.min).max(Vec3::ZERO).length_squared()
     }
 }
 
@@ -239,7 +239,7 @@ impl<const LEAF_SIZE: usize> Boxes<LEAF_SIZE> {
             let node = &self.nodes[link as usize];
             let gaps = node.boxes.gaps_sq(&from);
             let first = count;
-            for (gap, link) in gaps.into_iter().zip(node.links) {
+            for (&gap, &link) in gaps.iter().zip(&node.links) {
                 if gap <= within && link != NOTHING {
                     // The farthest first, so that the nearest is taken up first.
                     let mut to = count;

@@ -82,7 +82,8 @@ impl<'a, S: Coordinate> Tree<'a, S> {
 
     #[inline(always)]
     fn corners(&self, face: u32) -> [DVec3; 3] {
-        self.mesh.faces[face as usize].map(|v| self.mesh.at(v))
+        let [a, b, c] = self.mesh.faces[face as usize];
+        [self.mesh.at(a), self.mesh.at(b), self.mesh.at(c)]
     }
 
     /// The mesh.

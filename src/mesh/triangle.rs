@@ -29,13 +29,10 @@ pub fn distance_sq(p: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     match Region::of(p, [a, b, c]) {
         Region::Inside { height, square, .. } => height * height / square,
         Region::Beyond { ab, bc, ca } => {
-            let mut least = f64::INFINITY;
-            for (is_beyond, from, to) in [(ab, a, b), (bc, b, c), (ca, c, a)] {
-                if is_beyond {
-                    least = least.min((p - nearest_on_segment(p, from, to)).length_squared());
-                }
-            }
-            least
+            let to = |is_beyond: bool, from: DVec3, to: DVec3| {
+                if is_beyond { (p - nearest_on_segment(p, from, to)).length_squared() } else { f64::INFINITY }
+            };
+            to(ab, a, b).min(to(bc, b, c)).min(to(ca, c, a))
         }
     }
 }
