@@ -7,7 +7,7 @@
 //! in doubles), the second freed behind the third, beside 12 (24) bytes a vertex.
 
 use super::sample::Stride;
-use super::stream::{Choice, Facet, Feed, Place, Sink, Spill, tag};
+use super::stream::{Choice, Facet, Feed, Idle, Place, Spill, tag};
 use crate::error::Result;
 use crate::mesh::{Coordinate, widen};
 use crate::read::{Crew, Scan};
@@ -213,34 +213,27 @@ impl<T: Coordinate> Join<T> {
     }
 
     /// Streams every face to feeds, one a worker. What they get is worth nothing if a vertex turns out to be wild.
-    pub(super) fn faces<K: Sink>(
-        &self,
-        crew: &Crew,
-        place: Place,
-        feed: impl Fn() -> Feed<K> + Sync,
-    ) -> Result<Vec<Feed<K>>> {
-        let mut feeds: Vec<Mutex<Option<Feed<K>>>> =
-            (0..crew.workers.max(1)).map(|_| Mutex::new(Some(feed()))).collect();
+    pub(super) fn faces<'k>(&self, crew: &Crew, place: Place, idle: &Idle<'k>) -> Result<Vec<Feed<'k>>> {
         let size = size_of::<[T; 3]>();
         for (range, run) in self.waiting.iter().enumerate() {
             let waiting = run.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
             let Some(file) = waiting.as_ref() else { continue };
             let positions = self.load(range, crew)?;
-            let idle = Mutex::new(feeds.iter_mut().filter_map(|f| f.get_mut().ok()?.take()).collect::<Vec<_>>());
-            let worker = || idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop();
-            let done = turns(file, Self::record_bytes(2), crew, worker, |feed, record| {
-                let Some(feed) = feed else { return Ok(()) };
-                let last = vertex(record, 4 + 2 * size);
-                let known = |k: usize| bytemuck::pod_read_unaligned::<[T; 3]>(&record[4 + k * size..][..size]);
-                let corners = [known(0), known(1), self.seen(last, &positions)].map(|p| place.of(p));
-                feed.push(Facet::new(vertex(record, 0), corners));
-                Ok(())
-            })?;
-            for (slot, feed) in feeds.iter_mut().zip(done) {
-                *slot = Mutex::new(feed);
-            }
+            let done = turns(
+                file,
+                Self::record_bytes(2),
+                crew,
+                || idle.take(),
+                |feed, record| {
+                    let last = self.seen(vertex(record, 4 + 2 * size), &positions);
+                    let known = |k: usize| bytemuck::pod_read_unaligned::<[T; 3]>(&record[4 + k * size..][..size]);
+                    feed.push(Facet::new(vertex(record, 0), [place.of(known(0)), place.of(known(1)), place.of(last)]));
+                    Ok(())
+                },
+            )?;
+            idle.put(done);
         }
-        Ok(feeds.into_iter().filter_map(|feed| feed.into_inner().ok()?).collect())
+        Ok(idle.take_all())
     }
 
     fn load(&self, range: usize, crew: &Crew) -> Result<Positions<T>> {

@@ -13,6 +13,7 @@ use crate::scratch::{Scratch, ScratchFile};
 use glam::DVec3;
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Mutex, MutexGuard};
 
 /// A face on its way.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,16 +58,17 @@ pub(super) trait Sink: Send {
 /// Faces in a delivery, at most.
 pub(super) const BATCH: usize = 512;
 
-/// A sink with the faces that are on their way to it, and what was found on the way.
-pub(super) struct Feed<K> {
-    pub(super) sink: K,
+/// A sink with the faces that are on their way to it, and what was found on the way. Sinks of all kinds are fed by the
+/// same code: what that costs once a batch is nothing, and the passes over every format are compiled once.
+pub(super) struct Feed<'a> {
+    sink: &'a mut dyn Sink,
     faces: Vec<Facet>,
     /// The first vertex that a face uses and that is not finite.
     wild: Option<u32>,
 }
 
-impl<K: Sink> Feed<K> {
-    pub(super) fn new(sink: K) -> Self {
+impl<'a> Feed<'a> {
+    fn new(sink: &'a mut dyn Sink) -> Self {
         Feed { sink, faces: Vec::with_capacity(BATCH), wild: None }
     }
 
@@ -87,6 +89,30 @@ impl<K: Sink> Feed<K> {
     #[cold]
     pub(super) fn miss(&mut self, vertex: u32) {
         self.wild = Some(self.wild.map_or(vertex, |v| v.min(vertex)));
+    }
+}
+
+/// Feeds that wait for a worker.
+pub(super) struct Idle<'a>(Mutex<Vec<Feed<'a>>>);
+
+impl<'a> Idle<'a> {
+    /// The feed of a worker.
+    pub(super) fn take(&self) -> Feed<'a> {
+        self.lock().pop().expect("there is a feed for every worker")
+    }
+
+    /// Feeds that their workers no longer need.
+    pub(super) fn put(&self, feeds: Vec<Feed<'a>>) {
+        self.lock().extend(feeds);
+    }
+
+    /// All feeds, once no worker has one.
+    pub(super) fn take_all(&self) -> Vec<Feed<'a>> {
+        std::mem::take(&mut *self.lock())
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Feed<'a>>> {
+        self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 }
 
@@ -245,21 +271,31 @@ impl<'a, T: Coordinate> Stream<'a, T> {
 
     /// Streams every face to sinks, one a worker. Faces that repeat a vertex are passed over. With `choose`, chosen
     /// vertices are marked at one of their corners.
-    pub(super) fn faces<K: Sink>(&self, crew: &Crew, choose: bool, sink: impl Fn() -> K + Sync) -> Result<Vec<K>> {
-        let feed = || Feed::new(sink());
+    pub(super) fn faces<K: Sink>(&self, crew: &Crew, choose: bool, sink: impl Fn() -> K) -> Result<Vec<K>> {
+        let mut sinks: Vec<K> = (0..crew.workers.max(1)).map(|_| sink()).collect();
+        self.feed(crew, choose, sinks.iter_mut().map(|sink| sink as &mut dyn Sink).collect())?;
+        Ok(sinks)
+    }
+
+    fn feed(&self, crew: &Crew, choose: bool, sinks: Vec<&mut dyn Sink>) -> Result<()> {
+        let idle = Idle(Mutex::new(sinks.into_iter().map(Feed::new).collect()));
         let choice = (choose && !matches!(self.corners, Corners::Soup | Corners::Joined(_)))
             .then(|| Choice::new(self.scan.vertex_count(), self.stride));
         let mut feeds = match &self.corners {
-            Corners::Soup => self.soup(crew, choose, feed)?,
-            Corners::Joined(join) => join.faces(crew, self.place, feed)?,
-            Corners::Resident(positions) => self.scan.triangles(crew, feed, |feed, chunk| {
-                for (number, face) in (chunk.first..).zip(chunk.triangles) {
-                    self.gather(feed, number, *face, choice.as_ref(), |v| Ok(positions[v as usize]))?;
-                }
-                Ok(())
-            })?,
+            Corners::Soup => self.soup(crew, choose, &idle)?,
+            Corners::Joined(join) => join.faces(crew, self.place, &idle)?,
+            Corners::Resident(positions) => self.scan.triangles(
+                crew,
+                || idle.take(),
+                |feed, chunk| {
+                    for (number, face) in (chunk.first..).zip(chunk.triangles) {
+                        self.gather(feed, number, *face, choice.as_ref(), |v| Ok(positions[v as usize]))?;
+                    }
+                    Ok(())
+                },
+            )?,
             Corners::Paged(spill) => {
-                let worker = || (feed(), PageCache::new(spill));
+                let worker = || (idle.take(), PageCache::new(spill));
                 let feeds = self.scan.triangles(crew, worker, |(feed, pages), chunk| {
                     for (number, face) in (chunk.first..).zip(chunk.triangles) {
                         self.gather(feed, number, *face, choice.as_ref(), |v| pages.get(v))?;
@@ -274,7 +310,7 @@ impl<'a, T: Coordinate> Stream<'a, T> {
         if let Some(vertex) = feeds.iter().filter_map(|feed| feed.wild).chain(met_before).min() {
             return Err(self.wild(vertex));
         }
-        Ok(feeds.into_iter().map(|feed| feed.sink).collect())
+        Ok(())
     }
 
     fn wild(&self, vertex: u32) -> Error {
@@ -283,9 +319,9 @@ impl<'a, T: Coordinate> Stream<'a, T> {
     }
 
     #[inline(always)]
-    fn gather<K: Sink>(
+    fn gather(
         &self,
-        feed: &mut Feed<K>,
+        feed: &mut Feed,
         number: u64,
         face: [u32; 3],
         choice: Option<&Choice>,
@@ -296,26 +332,29 @@ impl<'a, T: Coordinate> Stream<'a, T> {
             return Ok(());
         }
         let corners = [self.place.of(position(a)?), self.place.of(position(b)?), self.place.of(position(c)?)];
-        if !corners.iter().all(|p| p.is_finite()) {
-            let wild = face.into_iter().zip(corners).filter(|(_, p)| !p.is_finite());
-            wild.for_each(|(vertex, _)| feed.miss(vertex));
-            return Ok(());
+        if !(corners[0] + corners[1] + corners[2]).is_finite() {
+            let wild = face.iter().zip(&corners).filter(|(_, p)| !p.is_finite());
+            wild.for_each(|(vertex, _)| feed.miss(*vertex));
         }
         let tag = tag(number, |corner| choice.is_some_and(|choice| choice.meets(face[corner])));
         feed.push(Facet::new(tag, corners));
         Ok(())
     }
 
-    fn soup<K: Sink>(&self, crew: &Crew, choose: bool, feed: impl Fn() -> Feed<K> + Sync) -> Result<Vec<Feed<K>>> {
-        self.scan.soup(crew, feed, |feed, chunk| {
-            for (number, &[a, b, c]) in (chunk.first..).zip(chunk.triangles) {
-                if a != b && b != c && c != a {
-                    let tag = tag(number, |corner| choose && self.stride.takes(3 * number + corner as u64));
-                    feed.push(Facet::new(tag, [self.place.of(a), self.place.of(b), self.place.of(c)]));
+    fn soup<'k>(&self, crew: &Crew, choose: bool, idle: &Idle<'k>) -> Result<Vec<Feed<'k>>> {
+        self.scan.soup(
+            crew,
+            || idle.take(),
+            |feed, chunk| {
+                for (number, &[a, b, c]) in (chunk.first..).zip(chunk.triangles) {
+                    if a != b && b != c && c != a {
+                        let tag = tag(number, |corner| choose && self.stride.takes(3 * number + corner as u64));
+                        feed.push(Facet::new(tag, [self.place.of(a), self.place.of(b), self.place.of(c)]));
+                    }
                 }
-            }
-            Ok(())
-        })
+                Ok(())
+            },
+        )
     }
 }
 

@@ -102,7 +102,8 @@ pub struct Lanes {
 impl From<Aabb> for Lanes {
     #[inline(always)]
     fn from(one: Aabb) -> Self {
-        Lanes { min: one.min.to_array().map(Vec4::splat), max: one.max.to_array().map(Vec4::splat) }
+        let splat = |v: Vec3| [Vec4::splat(v.x), Vec4::splat(v.y), Vec4::splat(v.z)];
+        Lanes { min: splat(one.min), max: splat(one.max) }
     }
 }
 
@@ -124,12 +125,10 @@ impl Four {
     #[inline(always)]
     pub fn new(boxes: [Aabb; 4]) -> Four {
         let [a, b, c, d] = boxes;
-        let lanes =
-            |axis: usize, of: fn(&Aabb) -> Vec3| Vec4::new(of(&a)[axis], of(&b)[axis], of(&c)[axis], of(&d)[axis]);
-        Four {
-            min: std::array::from_fn(|axis| lanes(axis, |b| b.min)),
-            max: std::array::from_fn(|axis| lanes(axis, |b| b.max)),
-        }
+        let lanes = |a: Vec3, b: Vec3, c: Vec3, d: Vec3| {
+            [Vec4::new(a.x, b.x, c.x, d.x), Vec4::new(a.y, b.y, c.y, d.y), Vec4::new(a.z, b.z, c.z, d.z)]
+        };
+        Four { min: lanes(a.min, b.min, c.min, d.min), max: lanes(a.max, b.max, c.max, d.max) }
     }
 
     /// Squared distances between a box and each of the four: 0 where they meet, infinite to an empty one.
