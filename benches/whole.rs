@@ -30,6 +30,7 @@ impl Row<'_> {
             scratch: None,
             representative: Representative::Quadric,
             boundary_weight: 1.0,
+            verify: false,
         };
         reduce(&job, &Progress::default()).unwrap()
     }

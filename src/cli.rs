@@ -58,6 +58,11 @@ pub struct ReduceArgs {
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
 
+    /// Measure the result against the scan, as `compare` does, and report it; with --max-error, exit with 1 where the
+    /// measured distance is larger
+    #[arg(long)]
+    verify: bool,
+
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
     json: bool,
@@ -173,7 +178,7 @@ impl From<ReduceArgs> for JobFile {
         JobFile {
             scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
             run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
-            report: ReportTable { json: Some(args.json) },
+            report: ReportTable { json: Some(args.json), verify: Some(args.verify) },
             ..Default::default()
         }
     }

@@ -1,4 +1,4 @@
-//! read → cluster → collapse → write: the order in which a scan goes through the mill.
+//! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
 
@@ -7,13 +7,13 @@ pub use compare::compare;
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
-use crate::job::Job;
+use crate::job::{Job, Target};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::plan::{Cells, LEAST_RATIO, Purse, in_core_budget};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
-use crate::report::{MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
+use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
 use std::time::Instant;
@@ -74,6 +74,9 @@ enum Source {
 impl Run<'_> {
     fn through<S: Coordinate>(&self, out: write::Target) -> Result<Report> {
         let asked = self.job.target.faces(self.scan.triangle_count());
+        if let (true, Some(asked)) = (self.job.verify, asked) {
+            compare::check_verifiable::<S>(asked, self.scan, &self.purse)?;
+        }
         let mut clock = Clock::new(self.begun);
         let mut seconds = Timeline::default();
         let opened = clock.lap();
@@ -99,14 +102,18 @@ impl Run<'_> {
         let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
         out.write_mesh(&mesh, frame, self.progress)?;
         seconds.write = clock.lap();
-        seconds.total = self.begun.elapsed().as_secs_f64();
-        let (mode, cells, ratio, scratch_bytes) = match &source {
+        let (mode, cells, ratio, mut scratch_bytes) = match &source {
             Source::Loaded(_) => (Mode::InCore, None, None, 0),
             Source::Clustered(stats) => {
                 let ratio = faces as f64 / output.faces.max(1) as f64;
                 (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
             }
         };
+        drop(mesh);
+        let deviation = if self.job.verify { Some(self.verify(&mut scratch_bytes)?) } else { None };
+        seconds.measure = clock.lap();
+        seconds.total = self.begun.elapsed().as_secs_f64();
+        let unmet = deviation.as_ref().and_then(|found| self.exceeded(found));
         Ok(Report {
             input: MeshFile {
                 path: self.job.input.clone(),
@@ -123,7 +130,9 @@ impl Run<'_> {
             scratch_bytes,
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
+            deviation,
             warnings,
+            unmet,
         })
     }
 
@@ -187,7 +196,7 @@ impl Run<'_> {
 
     fn collapse_options(&self, asked: Option<u64>, frame: Frame) -> collapse::Options {
         let max_error = match self.job.target {
-            crate::job::Target::MaxError(length) => frame.to_frame(length),
+            Target::MaxError(length) => frame.to_frame(length),
             _ => f64::INFINITY,
         };
         collapse::Options {
@@ -195,6 +204,40 @@ impl Run<'_> {
             max_error,
             boundary_weight: self.job.boundary_weight,
         }
+    }
+
+    /// Measures the file that was written.
+    fn verify(&self, scratch_bytes: &mut u64) -> Result<DeviationFigures> {
+        let scratch = Scratch::in_folder(self.job.scratch_folder());
+        let found = compare::verify(self.scan, &self.job.output, &self.purse, &scratch, self.progress)
+            .map_err(|error| self.unverified(error))?;
+        *scratch_bytes = scratch.bytes().max(*scratch_bytes);
+        Ok((&found).into())
+    }
+
+    /// The result is there, whatever became of its measurement.
+    fn unverified(&self, error: Error) -> Error {
+        let file = self.job.output.clone();
+        match error {
+            Error::Budget { what, needed_bytes } => {
+                Error::Budget { what: format!("{} is written, but not measured: {what}", file.display()), needed_bytes }
+            }
+            Error::Interrupted { signal, .. } => {
+                Error::Interrupted { signal, left: "the result is written, but not measured" }
+            }
+            other => Error::Unmet { file, what: format!("is written, but cannot be measured: {other}") },
+        }
+    }
+
+    /// The measured distance, where it is beyond the one that was asked for.
+    fn exceeded(&self, found: &DeviationFigures) -> Option<Failure> {
+        let Target::MaxError(length) = self.job.target else { return None };
+        // Also true of what is not a number.
+        if found.max <= length {
+            return None;
+        }
+        let what = format!("is written, but {} from the scan at its farthest, and {length} was asked for", found.max);
+        Some(Failure::from(&Error::Unmet { file: self.job.output.clone(), what }))
     }
 
     /// Whether what was asked was reached.

@@ -72,7 +72,7 @@ impl Progress {
     pub fn check(&self) -> Result<()> {
         match self.signal.load(Relaxed) {
             0 => Ok(()),
-            signal => Err(Error::Interrupted { signal: signal as i32 }),
+            signal => Err(Error::Interrupted { signal: signal as i32, left: "nothing was written" }),
         }
     }
 }

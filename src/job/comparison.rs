@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Count, DEFAULT_MEMORY, Threads, cores};
 use crate::budget::Size;
-use crate::measure::DEFAULT_SAMPLES;
+use crate::measure::{DEFAULT_SAMPLES, MOST_VERTICES};
 
 /// A comparison as it was said.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -38,8 +38,8 @@ pub struct Comparison {
     pub b: PathBuf,
     /// Samples over the area of each.
     pub samples: u64,
-    /// Whether all vertices are measured, or a few of very many.
-    pub every_vertex: bool,
+    /// Vertices of each that are measured at most.
+    pub most_vertices: u64,
     /// What samples are drawn by.
     pub seed: u64,
     /// Bound on the whole process's peak resident set.
@@ -61,7 +61,7 @@ impl ComparisonSaid {
             a: self.a,
             b: self.b,
             samples: self.samples.map_or(DEFAULT_SAMPLES, |Count(n)| n),
-            every_vertex: self.every_vertex,
+            most_vertices: if self.every_vertex { u64::MAX } else { MOST_VERTICES },
             seed: self.seed,
             memory: self.memory.unwrap_or(DEFAULT_MEMORY),
             threads: self.threads.map_or_else(cores, |Threads(n)| n),

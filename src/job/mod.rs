@@ -76,6 +76,8 @@ pub struct Job {
     pub representative: Representative,
     /// Weight of the constraint that holds open borders in place.
     pub boundary_weight: f64,
+    /// Whether the result is measured against the scan.
+    pub verify: bool,
 }
 
 impl JobFile {
@@ -90,6 +92,7 @@ impl JobFile {
             scratch: self.run.scratch,
             representative: self.cluster.representative.unwrap_or_default(),
             boundary_weight: self.collapse.boundary_weight.map_or(DEFAULT_BOUNDARY_WEIGHT, |Weight(w)| w),
+            verify: self.report.verify.unwrap_or(false),
         })
     }
 }
@@ -126,7 +129,7 @@ impl Job {
             },
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { boundary_weight: Some(Weight(self.boundary_weight)) },
-            report: ReportTable::default(),
+            report: ReportTable { verify: Some(self.verify), ..Default::default() },
         }
     }
 }

@@ -63,7 +63,7 @@ use sample::{Spread, Stride, area_of};
 use stream::Stream;
 use tally::{Sum, Tally};
 
-/// Most vertices of a mesh that are measured, unless every one is asked for.
+/// Vertices of a mesh that are measured at most when nothing is said.
 pub const MOST_VERTICES: u64 = 200_000;
 
 /// Samples over the area of each mesh when nothing is said.
@@ -74,8 +74,8 @@ pub const DEFAULT_SAMPLES: u64 = 1_000_000;
 pub struct Options {
     /// Samples over the area of each mesh, about.
     pub samples: u64,
-    /// Whether every vertex is measured, or [`MOST_VERTICES`] at most.
-    pub every_vertex: bool,
+    /// Vertices of each mesh that are measured, at most: [`MOST_VERTICES`] unless every one is asked for.
+    pub most_vertices: u64,
     /// The same seed draws the same samples.
     pub seed: u64,
     /// Whether the deviation of every vertex of the held mesh is kept.
@@ -86,7 +86,7 @@ pub struct Options {
 
 impl Options {
     fn stride(&self, vertices: u64) -> Stride {
-        Stride::new(vertices, if self.every_vertex { vertices } else { MOST_VERTICES })
+        Stride::new(vertices, self.most_vertices)
     }
 }
 
@@ -357,3 +357,6 @@ impl<S: Coordinate> Run<'_, S> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,7 +4,7 @@ use super::probes::{Points, Probes};
 use super::{Options, Pair, join, patch, stream, tally};
 use crate::error::{Error, Result};
 use crate::mesh::{Coordinate, IndexedMesh, Tree};
-use crate::read::{Layout, Scalar, load_peak_bytes};
+use crate::read::{Layout, Scalar, Scan, load_peak_bytes};
 use std::path::PathBuf;
 
 /// Points of the larger mesh that are kept at most, and at least.
@@ -12,6 +12,25 @@ const POINTS: std::ops::RangeInclusive<u64> = (1 << 12)..=(1 << 19);
 
 /// Bytes of a kept point: twice while workers gather them, and under a tree.
 const POINT_BYTES: u64 = 48;
+
+/// Samples that a measurement that takes what the budget leaves is content with.
+const LEAST_SAMPLES: u64 = 10_000;
+
+impl Options {
+    /// The same with half as many points, and again, until they fit: a measurement that nobody asked a number of. Refuses
+    /// when few are still too many.
+    pub fn fitted(mut self, needs: impl Fn(&Options) -> Needs) -> Result<Options> {
+        loop {
+            match needs(&self).check(self.array_bytes) {
+                Err(_) if self.samples / 2 >= LEAST_SAMPLES => {
+                    self.samples /= 2;
+                    self.most_vertices /= 2;
+                }
+                other => return other.map(|()| self),
+            }
+        }
+    }
+}
 
 /// The share of spare memory that kept points may take.
 const POINTS_SHARE: u64 = 8;
@@ -70,7 +89,17 @@ impl Needs {
         }
     }
 
-    /// Of a mesh that is still to be made: so many faces, closed, against a scan of so many vertices.
+    /// Of measuring a mesh that is still to be made, of so many faces, against `scan`: if it has no more than a vertex a
+    /// face.
+    pub fn of_result<S: Coordinate>(faces: u64, scan: &Scan, options: &Options) -> Needs {
+        let position_bytes = size_of::<[S; 3]>() as u64;
+        let table = 4 * (faces.saturating_mul(3) / 2 + 1).next_power_of_two();
+        let load_bytes = faces.saturating_mul(12 + position_bytes + 4).saturating_add(table);
+        let pair = Pair { a: scan, b: scan };
+        Needs { faces, vertices: faces, is_soup: false, position_bytes, load_bytes, ..Needs::of::<S>(&pair, options) }
+    }
+
+    /// Points to be measured of a held mesh of so many vertices, at most.
     pub(super) fn probes(&self, vertices: u64) -> u64 {
         let chosen = if self.options.shades { vertices } else { self.options.stride(vertices).rank(vertices) };
         // The number of samples is drawn; it is hardly ever more than this.
