@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn colours_go_from_dark_violet_to_light_yellow() {
         let scale = Scale { top: 2.0 };
-        assert_eq!([0.0, 1.0, 2.0].map(|x| scale.colour(x)), [[34, 21, 72], [36, 144, 147], [246, 243, 173]]);
+        assert_eq!([0.0, 1.0, 2.0].map(|x| scale.colour(x)), [[35, 22, 73], [43, 145, 147], [247, 243, 172]]);
         assert_eq!(scale.colour(9.0), scale.colour(2.0));
         // Every step is lighter to the eye than the one before (luma of Rec. 709).
         let luma = |x: u32| {

@@ -4,7 +4,7 @@ use super::probes::{Points, Probes};
 use super::{Options, Pair, join, patch, stream, tally};
 use crate::error::{Error, Result};
 use crate::mesh::{Coordinate, IndexedMesh, Tree};
-use crate::read::{Layout, Scalar, Scan, load_peak_bytes};
+use crate::read::{Crew, Layout, Scalar, Scan, load_peak_bytes};
 use std::path::PathBuf;
 
 /// Points of the larger mesh that are kept at most, and at least.
@@ -82,7 +82,8 @@ impl Needs {
             vertices: held.vertex_count(),
             is_soup: held.layout() == Layout::Soup,
             position_bytes: size_of::<[S; 3]>() as u64,
-            load_bytes: load_peak_bytes(held),
+            // What streaming takes is set aside for all passes alike.
+            load_bytes: load_peak_bytes(held).saturating_sub(Crew::stream_bytes(1)),
             options: *options,
             streamed_vertices: streamed.vertex_count(),
             stream_bytes,
@@ -116,7 +117,7 @@ impl Needs {
         let mesh = self.faces * 12 + vertices * self.position_bytes;
         let tree = mesh + Tree::<f32>::build_bytes(self.faces);
         let probes = mesh + Tree::<f32>::bytes(self.faces) + Probes::build_bytes(self.probes(vertices));
-        let points = POINTS.start() * POINT_BYTES * POINTS_SHARE;
+        let points = POINTS.start() * POINT_BYTES;
         let streaming = self.held_bytes(self.faces, vertices) + points + self.stream_bytes;
         tree.max(probes).max(streaming)
     }
