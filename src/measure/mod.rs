@@ -57,7 +57,7 @@ use crate::progress::Stage;
 use crate::read::{Crew, Scalar, Scan, load};
 use crate::scratch::Scratch;
 use glam::DVec3;
-use pass::{Measuring, Survey};
+use pass::{Kept, Measuring, Survey};
 use probes::{Points, Probes};
 use sample::{Spread, Stride, area_of};
 use stream::Stream;
@@ -242,7 +242,7 @@ impl<S: Coordinate> Run<'_, S> {
         let spare = self.needs.spare(options.array_bytes, self.mesh);
         let stride = options.stride(streamed.vertex_count());
         let stream = Stream::<T>::open(streamed, crew, self.scratch, self.frame, stride, spare.positions)?;
-        let kept = Stride::new(streamed.triangle_count(), spare.points);
+        let kept = Kept::new(streamed.triangle_count(), spare.points);
         let survey = stream.faces(crew, false, || Survey::new(self.origin(), kept))?;
         let Survey { area, extent, points, .. } = Survey::merged(survey);
         if points.is_empty() {

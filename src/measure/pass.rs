@@ -2,25 +2,39 @@
 
 use super::patch::{FACES, Patch};
 use super::probes::Probes;
-use super::sample::{Spread, Stride, area_of};
+use super::sample::{Spread, Stride, area_of, scatter};
 use super::stream::{Facet, Sink};
 use super::tally::{Sum, Tally};
 use crate::mesh::boxes::Origin;
 use crate::mesh::{Coordinate, Extent, Tree};
 use glam::{DVec3, Vec3};
 
+/// Which points of the mesh are kept: so many of every so many faces.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kept {
+    faces: Stride,
+    of_each: u64,
+}
+
+impl Kept {
+    /// About `points` of a mesh of so many faces.
+    pub(super) fn new(faces: u64, points: u64) -> Self {
+        Kept { faces: Stride::new(faces, points), of_each: (points / faces.max(1)).max(1) }
+    }
+}
+
 /// The first pass: how large the mesh is, and points on it.
 pub(super) struct Survey {
     origin: Origin,
-    kept: Stride,
+    kept: Kept,
     pub(super) area: Sum,
     pub(super) extent: Extent,
     pub(super) points: Vec<Vec3>,
 }
 
 impl Survey {
-    /// Of every so many faces, their middle is kept.
-    pub(super) fn new(origin: Origin, kept: Stride) -> Self {
+    /// A survey that has seen nothing yet.
+    pub(super) fn new(origin: Origin, kept: Kept) -> Self {
         Survey { origin, kept, area: Sum::default(), extent: Extent::default(), points: Vec::new() }
     }
 
@@ -37,6 +51,9 @@ impl Survey {
     }
 }
 
+/// Points begin at the middle of a face, at a third of both its sides.
+const MIDDLE: u64 = (u32::MAX as u64 / 3) << 32 | u32::MAX as u64 / 3;
+
 impl Sink for Survey {
     fn take(&mut self, faces: &[Facet]) {
         for facet in faces {
@@ -44,8 +61,9 @@ impl Sink for Survey {
             self.area.add(area_of(b - a, c - a));
             self.extent.min = self.extent.min.min(a).min(b).min(c);
             self.extent.max = self.extent.max.max(a).max(b).max(c);
-            if self.kept.takes(facet.number().into()) || self.points.is_empty() {
-                self.points.push(self.origin.about((a + b + c) / 3.0));
+            if self.kept.faces.takes(facet.number().into()) || self.points.is_empty() {
+                let (origin, points) = (self.origin, &mut self.points);
+                scatter(self.kept.of_each, MIDDLE, facet.corners, |p| points.push(origin.about(p)));
             }
         }
     }

@@ -26,19 +26,24 @@ impl Spread {
 
     /// Gives the samples of a face to `take`.
     #[inline(always)]
-    pub(super) fn over(&self, face: u32, [a, b, c]: [DVec3; 3], mut take: impl FnMut(DVec3)) {
+    pub(super) fn over(&self, face: u32, [a, b, c]: [DVec3; 3], take: impl FnMut(DVec3)) {
         let (ab, ac) = (b - a, c - a);
         let drawn = mix(self.seed ^ mix(u64::from(face & ((1 << NUMBER_BITS) - 1))));
         let count = (area_of(ab, ac) * self.density + unit(drawn)) as u64;
         if count > 0 {
-            let start = mix(drawn);
-            let (mut u, mut v) = (unit(start), unit(start << 32));
-            for _ in 0..count {
-                let (s, t) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
-                take(a + ab * s + ac * t);
-                (u, v) = ((u + STEP[0]).fract(), (v + STEP[1]).fract());
-            }
+            scatter(count, mix(drawn), [a, b, c], take);
         }
+    }
+}
+
+/// Gives evenly spread points of a face to `take`; `start` says where they begin.
+pub(super) fn scatter(count: u64, start: u64, [a, b, c]: [DVec3; 3], mut take: impl FnMut(DVec3)) {
+    let (ab, ac) = (b - a, c - a);
+    let (mut u, mut v) = (unit(start), unit(start << 32));
+    for _ in 0..count {
+        let (s, t) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+        take(a + ab * s + ac * t);
+        (u, v) = ((u + STEP[0]).fract(), (v + STEP[1]).fract());
     }
 }
 
