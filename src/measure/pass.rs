@@ -52,7 +52,7 @@ impl Survey {
 }
 
 /// Points begin at the middle of a face, at a third of both its sides.
-const MIDDLE: u64 = (u32::MAX as u64 / 3) << 32 | u32::MAX as u64 / 3;
+const MIDDLE: u64 = 0x5555_5555_5555_5555;
 
 impl Sink for Survey {
     fn take(&mut self, faces: &[Facet]) {

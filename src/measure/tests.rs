@@ -49,7 +49,7 @@ impl Sketch {
     fn shuffled(mut self) -> Sketch {
         let n = self.positions.len() as u32;
         // A multiplication that is coprime to the count permutes.
-        let by = (n / 2..).find(|by| (2..200).all(|d| by % d != 0 || n % d != 0)).unwrap();
+        let by = (n / 2..).find(|by| (2..200).all(|d| !by.is_multiple_of(d) || !n.is_multiple_of(d))).unwrap();
         let to = |v: u32| (u64::from(v) * u64::from(by) % u64::from(n)) as u32;
         let mut positions = vec![[0.0; 3]; n as usize];
         (0..n).for_each(|v| positions[to(v) as usize] = self.positions[v as usize]);

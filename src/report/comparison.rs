@@ -164,15 +164,15 @@ impl DeviationFigures {
     /// A few plain lines; `a` and `b` are what the meshes are called.
     pub fn lines(&self, a: &str, b: &str) -> Vec<String> {
         let shares = &self.shares;
+        // Places are told to a hundred-thousandth of the diagonal or better.
+        let decimals = (5.0 - self.diagonal.log10().floor()).clamp(0.0, 17.0) as usize;
         let way = |from: &str, to: &str, way: &WayFigures| {
+            let [x, y, z] = way.max_at;
             format!(
-                "{from} to {to}: mean {}, RMS {}, largest {} at ({}, {}, {}), of {}",
+                "{from} to {to}: mean {}, RMS {}, largest {} at ({x:.decimals$}, {y:.decimals$}, {z:.decimals$}), of {}",
                 significant(way.mean),
                 significant(way.rms),
                 significant(way.max),
-                way.max_at[0],
-                way.max_at[1],
-                way.max_at[2],
                 count(way.samples, "point"),
             )
         };
