@@ -31,6 +31,7 @@ impl Row<'_> {
             representative: Representative::Quadric,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
             boundary_weight: 1.0,
+            verify: false,
         };
         reduce(&job, &Progress::default()).unwrap()
     }

@@ -4,7 +4,9 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
-use meshmill::job::{Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads};
+use meshmill::job::{
+    ComparisonSaid, Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads,
+};
 
 /// Reduces huge meshes to the face count you ask for, in fixed memory
 #[derive(Debug, Parser)]
@@ -26,6 +28,8 @@ pub enum Command {
     Reduce(ReduceArgs),
     /// Reduce what a job file says
     Run(RunArgs),
+    /// Measure how far two meshes are from each other, both ways
+    Compare(CompareArgs),
     /// Make a realistic scan of any size
     Synth(SynthArgs),
 }
@@ -59,6 +63,11 @@ pub struct ReduceArgs {
     /// Folder for spills [default: OUT's folder]
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
+
+    /// Measure the result against the scan, as `compare` does, and report it; with --max-error, exit with 1 where the
+    /// measured distance is larger
+    #[arg(long)]
+    verify: bool,
 
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
@@ -98,6 +107,50 @@ pub struct RunArgs {
     pub json: bool,
 }
 
+/// `meshmill compare`
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// The mesh whose diagonal shares are of, such as a scan: PLY or STL, binary or ASCII
+    #[arg(value_name = "A")]
+    a: PathBuf,
+
+    /// The mesh to hold against it, such as the scan reduced
+    #[arg(value_name = "B")]
+    b: PathBuf,
+
+    /// Samples over the area of each mesh, like 200k or 1M [default: 1M]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    samples: Option<Count>,
+
+    /// Measure every vertex, not 200,000 of each mesh at most
+    #[arg(long)]
+    every_vertex: bool,
+
+    /// Draws other samples; the same seed draws the same
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+
+    /// Bound on the whole process's peak resident memory, like 512MiB or 2GiB [default: 512MiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    memory: Option<Size>,
+
+    /// Worker threads; the result does not depend on them [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    threads: Option<Threads>,
+
+    /// Folder for spills [default: the heat map's folder, or the one the program runs in]
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
+
+    /// Write the smaller mesh with the deviation of its vertices as colours and as a property, binary PLY
+    #[arg(long, value_name = "OUT.ply")]
+    heatmap: Option<PathBuf>,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// `meshmill synth`
 #[derive(Debug, Args)]
 pub struct SynthArgs {
@@ -118,6 +171,13 @@ pub struct SynthArgs {
     pub json: bool,
 }
 
+impl From<CompareArgs> for ComparisonSaid {
+    fn from(args: CompareArgs) -> Self {
+        let CompareArgs { a, b, samples, every_vertex, seed, memory, threads, scratch, heatmap, json: _ } = args;
+        ComparisonSaid { a, b, samples, every_vertex, seed, memory, threads, scratch, heatmap }
+    }
+}
+
 impl From<ReduceArgs> for JobFile {
     fn from(args: ReduceArgs) -> Self {
         let TargetArgs { faces, ratio, max_error } = args.target;
@@ -125,7 +185,7 @@ impl From<ReduceArgs> for JobFile {
             scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
             run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
             refit: RefitTable { rounds: args.refit },
-            report: ReportTable { json: Some(args.json) },
+            report: ReportTable { json: Some(args.json), verify: Some(args.verify) },
             ..Default::default()
         }
     }

@@ -54,10 +54,12 @@ pub enum Error {
         what: String,
     },
     /// A signal asked the run to end.
-    #[error("interrupted by signal {signal}; nothing was written")]
+    #[error("interrupted by signal {signal}; {left}")]
     Interrupted {
         /// SIGINT (2) or SIGTERM (15).
         signal: i32,
+        /// What the run leaves.
+        left: &'static str,
     },
 }
 
@@ -119,7 +121,7 @@ impl Error {
         match self {
             Error::Input { .. } | Error::Io { .. } | Error::Unmet { .. } => 1,
             Error::Usage { .. } | Error::Budget { .. } => 2,
-            Error::Interrupted { signal } => 128u8.wrapping_add(*signal as u8),
+            Error::Interrupted { signal, .. } => 128u8.wrapping_add(*signal as u8),
         }
     }
 

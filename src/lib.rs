@@ -5,6 +5,8 @@
 //!  scan ─→ read                                                 ├─→ collapse ─→ refit ─→ write
 //!            └ does not ──→ cluster: bin, sum, place, carry ────┘
 //!                           quadrics over
+//!
+//!  two meshes ─→ read ─→ measure: hold the smaller, stream the larger
 //! ```
 //!
 //! One module a stage; [`pipeline`] is their order, [`plan`] decides what a budget buys.
@@ -16,10 +18,11 @@
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
 //! | [`refit`] | that mesh, and a finer one that it stands for | the same mesh, closer to the scan |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
+//! | [`measure`] | two scans | how far they are from each other, both ways |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
-//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster` streams through `read`; none of them
+//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster` and `measure` stream through `read`; none of them
 //! knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
@@ -45,6 +48,7 @@ pub mod cluster;
 pub mod collapse;
 pub mod error;
 pub mod job;
+pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod plan;

@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, RunArgs, SynthArgs};
-use meshmill::job::JobFile;
+use cli::{Cli, Command, CompareArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, JobFile};
 use meshmill::progress::Progress;
 use meshmill::report::{Failure, MeshFile, Synthesis, json};
 use meshmill::{Error, Result, pipeline, synth};
@@ -24,6 +24,7 @@ fn main() -> ExitCode {
     match Cli::try_parse_from(&args) {
         Ok(Cli { command: Command::Reduce(args) }) => reduce(args.into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
+        Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
@@ -33,12 +34,25 @@ fn main() -> ExitCode {
 struct Saying {
     object: String,
     lines: Vec<String>,
+    /// Why what was asked was not met, though there is a result.
+    unmet: Option<String>,
+}
+
+impl Saying {
+    fn new(object: String, lines: Vec<String>) -> Self {
+        Saying { object, lines, unmet: None }
+    }
 }
 
 fn reduce(said: JobFile) -> ExitCode {
     let in_json = said.report.json == Some(true);
     let outcome = said.resolve().and_then(|job| working(|progress| pipeline::reduce(&job, progress)));
-    conclude(outcome.map(|report| Saying { object: json(&report), lines: report.lines() }), in_json)
+    let saying = outcome.map(|report| Saying {
+        object: json(&report),
+        lines: report.lines(),
+        unmet: report.unmet.as_ref().map(|unmet| unmet.message().into()),
+    });
+    conclude(saying, in_json)
 }
 
 fn run(args: RunArgs) -> ExitCode {
@@ -52,20 +66,28 @@ fn run(args: RunArgs) -> ExitCode {
     }
 }
 
+fn compare(args: CompareArgs) -> ExitCode {
+    let in_json = args.json;
+    let comparison = ComparisonSaid::from(args).resolve();
+    let outcome = working(|progress| pipeline::compare(&comparison, progress));
+    conclude(outcome.map(|report| Saying::new(json(&report), report.lines())), in_json)
+}
+
 /// The job in full, as a job file that can be run from anywhere.
 fn dry_run(said: JobFile) -> Result<Saying> {
     #[derive(serde::Serialize)]
     struct Resolved {
         job: JobFile,
     }
-    let report = said.report.clone();
-    let mut job = JobFile { report, ..said.resolve()?.said() };
+    let in_json = said.report.json;
+    let mut job = said.resolve()?.said();
+    job.report.json = in_json;
     job.move_paths(|path| {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
         PathBuf::from(path.to_string_lossy().into_owned())
     });
     let text = toml::to_string(&job).map_err(|e| Error::usage(format!("the job cannot be shown: {e}")))?;
-    Ok(Saying { object: json(&Resolved { job }), lines: text.trim_end().lines().map(String::from).collect() })
+    Ok(Saying::new(json(&Resolved { job }), text.trim_end().lines().map(String::from).collect()))
 }
 
 fn make_scan(args: &SynthArgs) -> ExitCode {
@@ -74,7 +96,7 @@ fn make_scan(args: &SynthArgs) -> ExitCode {
         let output = MeshFile { path: args.output.clone(), faces: made.faces, vertices: made.vertices };
         let seconds = begun.elapsed().as_secs_f64();
         let made = Synthesis { output, bytes: made.bytes, seed: args.seed, seconds };
-        Saying { object: json(&made), lines: vec![made.line()] }
+        Saying::new(json(&made), vec![made.line()])
     });
     conclude(outcome, args.json)
 }
@@ -94,11 +116,18 @@ fn working<T>(work: impl FnOnce(&Progress) -> Result<T>) -> Result<T> {
 /// Says how it went: with `--json` one object is all that stdout gets.
 fn conclude(outcome: Result<Saying>, in_json: bool) -> ExitCode {
     match outcome {
-        Ok(Saying { object, lines }) if in_json => {
-            tell_stderr(&lines.join("\n"));
-            tell_stdout(&object, 0)
+        Ok(Saying { object, lines, unmet }) => {
+            let words = lines.join("\n");
+            let code = u8::from(unmet.is_some());
+            if in_json {
+                tell_stderr(&words);
+            }
+            let code = tell_stdout(if in_json { &object } else { &words }, code);
+            if let Some(message) = unmet {
+                tell_stderr(&format!("meshmill: {message}"));
+            }
+            code
         }
-        Ok(Saying { lines, .. }) => tell_stdout(&lines.join("\n"), 0),
         Err(error) => {
             tell_stderr(&format!("meshmill: {error}"));
             let code = error.exit_code();

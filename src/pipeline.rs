@@ -1,16 +1,20 @@
-//! read → cluster → collapse → write: the order in which a scan goes through the mill.
+//! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
+
+mod compare;
+
+pub use compare::compare;
 
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
-use crate::job::Job;
+use crate::job::{Job, Target};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
-use crate::plan::{Cells, LEAST_RATIO, Purse, in_core_budget};
+use crate::plan::{Cells, LEAST_RATIO, Purse};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
 use crate::refit::{self, refit};
-use crate::report::{MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
+use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
 use std::time::Instant;
@@ -21,22 +25,27 @@ const MOST_THREADS: usize = 64;
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
     let threads = job.threads.min(MOST_THREADS);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
-    pool.install(|| {
+    on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare(&job.output, Some(&job.input))?;
         let scan = Scan::open(&job.input, progress)?;
-        let purse = Purse::new(job.memory.0, threads);
+        let purse = Purse::new(job.memory.0, threads, job.refit_rounds > 0);
         let run = Run { job, threads, progress, scan: &scan, purse, begun };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
         }
     })
+}
+
+/// Works with so many threads of rayon's.
+fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
+    pool.install(work)
 }
 
 /// One reduction under way.
@@ -66,6 +75,9 @@ enum Source {
 impl Run<'_> {
     fn through<S: Coordinate>(&self, out: write::Target) -> Result<Report> {
         let asked = self.job.target.faces(self.scan.triangle_count());
+        if let (true, Some(asked)) = (self.job.verify, asked) {
+            compare::check_verifiable::<S>(asked, self.scan, &self.purse)?;
+        }
         let mut clock = Clock::new(self.begun);
         let mut seconds = Timeline::default();
         let opened = clock.lap();
@@ -95,14 +107,21 @@ impl Run<'_> {
         let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
         out.write_mesh(&mesh, frame, self.progress)?;
         seconds.write = clock.lap();
-        seconds.total = self.begun.elapsed().as_secs_f64();
-        let (mode, cells, ratio, scratch_bytes) = match &source {
+        let (mode, cells, ratio, mut scratch_bytes) = match &source {
             Source::Loaded(_) => (Mode::InCore, None, None, 0),
             Source::Clustered(stats) => {
                 let ratio = faces as f64 / output.faces.max(1) as f64;
                 (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
             }
         };
+        drop(mesh);
+        let mut deviation = None;
+        if self.job.verify {
+            deviation = Some(self.verify(&mut scratch_bytes)?);
+            seconds.measure = clock.lap();
+        }
+        seconds.total = self.begun.elapsed().as_secs_f64();
+        let unmet = deviation.as_ref().and_then(|found| self.exceeded(found));
         Ok(Report {
             input: MeshFile {
                 path: self.job.input.clone(),
@@ -119,13 +138,15 @@ impl Run<'_> {
             scratch_bytes,
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
+            deviation,
             warnings,
+            unmet,
         })
     }
 
     /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
     fn intermediate<S: Coordinate>(&self, asked: Option<u64>) -> Result<Intermediate<S>> {
-        if let Some(most_vertices) = self.purse.in_core::<S>(self.scan) {
+        if let Some(most_vertices) = self.purse.in_core::<S>(self.scan, asked) {
             self.progress.begin(Stage::Read, self.scan.bytes());
             let crew = Crew { workers: 1, progress: self.progress };
             if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
@@ -171,7 +192,7 @@ impl Run<'_> {
                 let path = self.scan.path().display();
                 let what =
                     format!("{path}: clustered within this budget, {faces} faces are left of the {enough} asked for");
-                return Err(Error::Budget { what, needed_bytes: in_core_budget::<S>(self.scan) });
+                return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
             }
             return Ok(Intermediate {
                 mesh: clustered.mesh,
@@ -184,7 +205,7 @@ impl Run<'_> {
 
     fn collapse_options(&self, asked: Option<u64>, faces: usize, frame: Frame) -> collapse::Options {
         let max_error = match self.job.target {
-            crate::job::Target::MaxError(length) => frame.to_frame(length),
+            Target::MaxError(length) => frame.to_frame(length),
             _ => f64::INFINITY,
         };
         let target = asked.unwrap_or(0).try_into().unwrap_or(usize::MAX);
@@ -194,6 +215,40 @@ impl Run<'_> {
             boundary_weight: self.job.boundary_weight,
             keep_reference: self.job.refit_rounds > 0 && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
+    }
+
+    /// Measures the file that was written.
+    fn verify(&self, scratch_bytes: &mut u64) -> Result<DeviationFigures> {
+        let scratch = Scratch::in_folder(self.job.scratch_folder());
+        let found = compare::verify(self.scan, &self.job.output, &self.purse, &scratch, self.progress)
+            .map_err(|error| self.unverified(error))?;
+        *scratch_bytes = scratch.bytes().max(*scratch_bytes);
+        Ok((&found).into())
+    }
+
+    /// The result is there, whatever became of its measurement.
+    fn unverified(&self, error: Error) -> Error {
+        let file = self.job.output.clone();
+        match error {
+            Error::Budget { what, needed_bytes } => {
+                Error::Budget { what: format!("{} is written, but not measured: {what}", file.display()), needed_bytes }
+            }
+            Error::Interrupted { signal, .. } => {
+                Error::Interrupted { signal, left: "the result is written, but not measured" }
+            }
+            other => Error::Unmet { file, what: format!("is written, but cannot be measured: {other}") },
+        }
+    }
+
+    /// The measured distance, where it is beyond the one that was asked for.
+    fn exceeded(&self, found: &DeviationFigures) -> Option<Failure> {
+        let Target::MaxError(length) = self.job.target else { return None };
+        // Also true of what is not a number.
+        if found.max <= length {
+            return None;
+        }
+        let what = format!("is written, but {} from the scan at its farthest, and {length} was asked for", found.max);
+        Some(Failure::from(&Error::Unmet { file: self.job.output.clone(), what }))
     }
 
     /// Whether what was asked was reached.

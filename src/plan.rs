@@ -10,9 +10,10 @@
 //! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
 //! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
 //! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
-//! | collapse | 36 a face, 109 a vertex (133), and a tenth: about 100 a face on closed scans |
+//! | collapse | 36 a face, 113 a vertex (137), and a tenth: about 102 a face on closed scans |
+//! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target |
 //!
-//! Out of core the collapse decides how many cells there are: 200 bytes each, two faces a cell. Scans differ, so the
+//! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
 //! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
 //!
 //! The intermediate mesh is [`AIM`] times as large as the result where that fits, and at least [`LEAST_RATIO`] times:
@@ -22,8 +23,10 @@ use crate::budget::MIB;
 use crate::cluster::{self, MeshLimit};
 use crate::collapse;
 use crate::error::{Error, Result};
+use crate::measure;
 use crate::mesh::Coordinate;
 use crate::read::{Crew, Layout, Scan, load_peak_bytes};
+use crate::refit;
 
 /// Resident before any stage has allocated: 6 MiB of program, libraries and stacks, measured, and as much again for what
 /// allocators keep back.
@@ -63,14 +66,16 @@ pub struct Purse {
     bytes: u64,
     /// Threads that streaming passes may use: windows and caches are paid for each.
     pub workers: usize,
+    /// Whether the result is refitted, to a reference that the collapse keeps.
+    pub refits: bool,
 }
 
 impl Purse {
     /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
-    pub fn new(bytes: u64, threads: usize) -> Self {
+    pub fn new(bytes: u64, threads: usize, refits: bool) -> Self {
         let fits = |n: &usize| streaming_bytes(*n) <= aside(bytes);
         let workers = (1..=threads).rev().find(fits).unwrap_or(1);
-        Purse { bytes, workers }
+        Purse { bytes, workers, refits }
     }
 
     /// What is left for arrays while nothing streams.
@@ -80,7 +85,7 @@ impl Purse {
 
     /// What is left for arrays while a scan streams past. It does not depend on the workers: their share is set aside as a
     /// whole.
-    fn while_streaming(&self) -> u64 {
+    pub fn while_streaming(&self) -> u64 {
         self.for_arrays().saturating_sub(aside(self.bytes))
     }
 
@@ -89,12 +94,26 @@ impl Purse {
         (self.for_arrays() as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
     }
 
+    /// What a collapse takes that begins within twenty times the target.
+    fn near_bytes<S: Coordinate>(&self, faces: u64, vertices: u64) -> u64 {
+        let collapsing = collapse::bytes::<S>(faces, vertices);
+        if !self.refits {
+            return collapsing;
+        }
+        let least = refit::LEAST_RATIO as u64;
+        let refitting = refit::bytes::<S>((faces / least, vertices / least), (faces, vertices));
+        refitting.max(collapsing + collapse::reference_bytes::<S>(faces, vertices))
+    }
+
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out
     /// to have more.
-    pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
+    pub fn in_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Option<u64> {
         let faces = scan.triangle_count();
-        let a_vertex = collapse::bytes::<S>(0, 1);
-        let most_vertices = self.for_collapse().checked_sub(collapse::bytes::<S>(faces, 0))? / a_vertex;
+        let near = target.is_none_or(|n| faces / 20 < n);
+        let bytes = |faces, vertices| {
+            if near { self.near_bytes::<S>(faces, vertices) } else { collapse::bytes::<S>(faces, vertices) }
+        };
+        let most_vertices = self.for_collapse().checked_sub(bytes(faces, 0))? / bytes(0, 1);
         let fits = match scan.layout() {
             Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= self.for_arrays(),
             // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
@@ -108,8 +127,8 @@ impl Purse {
         let most_cells = self.most_cells::<S>(scan.layout());
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
-            let enough = least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
-            let needed_bytes = enough.min(in_core_budget::<S>(scan));
+            let enough = self.least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
+            let needed_bytes = enough.min(self.in_core_budget::<S>(scan));
             let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
             let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
             return Err(Error::Budget { what, needed_bytes });
@@ -126,7 +145,7 @@ impl Purse {
             let survivors = (SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64 * n;
             cluster::summing_bytes(cells, layout) + survivors <= self.while_streaming()
                 && cluster::placing_bytes(cells, S::DOUBLE) + 12 * faces <= self.for_arrays()
-                && collapse::bytes::<S>(faces, n) <= self.for_collapse()
+                && self.near_bytes::<S>(faces, n) <= self.for_collapse()
         };
         let (mut low, mut high) = (0, cluster::MAX_CELLS + 1);
         while high - low > 1 {
@@ -134,6 +153,23 @@ impl Purse {
             if fits(middle) { low = middle } else { high = middle }
         }
         low
+    }
+
+    /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
+    pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
+        let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count());
+        let loading = load_peak_bytes(scan);
+        self.least_budget(|purse| collapse <= purse.for_collapse() && loading <= purse.for_arrays())
+    }
+
+    /// The least budget in whole mebibytes that is enough; the largest of all if none is.
+    fn least_budget(&self, is_enough: impl Fn(&Purse) -> bool) -> u64 {
+        let (mut low, mut high) = (0, u64::MAX / MIB);
+        while high - low > 1 {
+            let middle = low.midpoint(high);
+            if is_enough(&Purse { bytes: middle * MIB, ..*self }) { high = middle } else { low = middle }
+        }
+        high * MIB
     }
 
     /// What clustering into so many cells may use: survivors, bytes of binned vertices, and the mesh that may come of it.
@@ -144,10 +180,13 @@ impl Purse {
         // Binned vertices that are all resident need no windows on a spill.
         let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
         let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
-        let (face_bytes, vertex_bytes) = (collapse::bytes::<S>(1, 0), collapse::bytes::<S>(0, 1));
+        let (face_bytes, vertex_bytes) = (self.near_bytes::<S>(1, 0), self.near_bytes::<S>(0, 1));
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse() })
     }
 }
+
+// A pass of measuring is paid for like one of clustering.
+const _: () = assert!(measure::bytes_per_worker() <= cluster::bytes_per_worker() + cluster::bytes_per_spill_worker());
 
 /// What so many workers of a streaming pass take.
 fn streaming_bytes(workers: usize) -> u64 {
@@ -169,19 +208,7 @@ fn cells_for(target: u64, ratio: f64) -> usize {
     (target as f64 * ratio / FACES_A_CELL).ceil() as usize
 }
 
-/// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
-pub fn in_core_budget<S: Coordinate>(scan: &Scan) -> u64 {
-    let collapse = collapse::bytes::<S>(scan.triangle_count(), scan.vertex_count());
-    let loading = load_peak_bytes(scan);
-    least_budget(|purse| collapse <= purse.for_collapse() && loading <= purse.for_arrays())
-}
-
-/// The least budget in whole mebibytes that is enough; the largest of all if none is.
-fn least_budget(is_enough: impl Fn(&Purse) -> bool) -> u64 {
-    let (mut low, mut high) = (0, u64::MAX / MIB);
-    while high - low > 1 {
-        let middle = low.midpoint(high);
-        if is_enough(&Purse { bytes: middle * MIB, workers: 1 }) { high = middle } else { low = middle }
-    }
-    high * MIB
+/// The least budget that has room for so many bytes of arrays while a scan streams past.
+pub fn streaming_budget(arrays: u64) -> u64 {
+    Purse::new(0, 1, false).least_budget(|purse| arrays <= purse.while_streaming())
 }

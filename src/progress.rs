@@ -20,12 +20,14 @@ pub enum Stage {
     Refit = 3,
     /// Encoding, syncing and renaming the result.
     Write = 4,
+    /// Measuring how far two meshes are from each other.
+    Measure = 5,
 }
 
 impl Stage {
     /// The stage's word in reports and on the terminal.
     pub fn word(self) -> &'static str {
-        ["read", "cluster", "collapse", "refit", "write"][self as usize]
+        ["read", "cluster", "collapse", "refit", "write", "measure"][self as usize]
     }
 }
 
@@ -63,7 +65,8 @@ impl Progress {
             1 => Stage::Cluster,
             2 => Stage::Collapse,
             3 => Stage::Refit,
-            _ => Stage::Write,
+            4 => Stage::Write,
+            _ => Stage::Measure,
         };
         (stage, self.done.load(Relaxed), self.total.load(Relaxed))
     }
@@ -72,7 +75,7 @@ impl Progress {
     pub fn check(&self) -> Result<()> {
         match self.signal.load(Relaxed) {
             0 => Ok(()),
-            signal => Err(Error::Interrupted { signal: signal as i32 }),
+            signal => Err(Error::Interrupted { signal: signal as i32, left: "nothing was written" }),
         }
     }
 }

@@ -2,6 +2,12 @@
 //!
 //! The JSON keys are a contract with scripts: [`SCHEMA`] changes when one of them does.
 
+mod comparison;
+
+pub use comparison::{
+    ComparisonReport, ComparisonTimeline, DeviationFigures, HeatmapFile, Shares, WayFigures, WayShares,
+};
+
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 use std::fmt;
@@ -39,8 +45,13 @@ pub struct Report {
     /// Estimated largest distance between scan and result in the scan's units: √(largest cost ÷ its area). `None` where
     /// nothing supports an estimate.
     pub error_estimate: Option<f64>,
+    /// What was measured between scan and result; `None` where nobody asked for it.
+    pub deviation: Option<DeviationFigures>,
     /// What the user should know.
     pub warnings: Vec<Warning>,
+    /// Why the result, which is written, is not what was asked for.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub unmet: Option<Failure>,
 }
 
 /// A mesh file and its counts.
@@ -78,7 +89,9 @@ pub struct Timeline {
     pub refit: f64,
     /// Encoding, syncing, renaming.
     pub write: f64,
-    /// From the first byte to the rename.
+    /// Measuring the result; 0 where nobody asked for it.
+    pub measure: f64,
+    /// From the first byte to the report.
     pub total: f64,
 }
 
@@ -258,8 +271,14 @@ impl Report {
         if let Some(error) = self.error_estimate.filter(|x| x.is_finite()) {
             lines.push(format!("error    about {}, in the scan's units, as estimated", significant(error)));
         }
+        if let Some(deviation) = &self.deviation {
+            let measured = deviation.lines("scan", "result");
+            lines.extend(measured.into_iter().map(|line| format!("measured {line}")));
+        }
+        let measure =
+            if self.deviation.is_some() { format!(", measure {:.2}", seconds.measure) } else { String::new() };
         lines.push(format!(
-            "time     {:.2} s: read {:.2}, cluster {:.2}, collapse {:.2}, refit {:.2}, write {:.2}; {}",
+            "time     {:.2} s: read {:.2}, cluster {:.2}, collapse {:.2}, refit {:.2}, write {:.2}{measure}; {}",
             seconds.total,
             seconds.read,
             seconds.cluster,
@@ -327,17 +346,24 @@ pub fn json(body: &impl Serialize) -> String {
 }
 
 /// A failure as scripts read it.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Failure {
     error: FailureFacts,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 struct FailureFacts {
     code: &'static str,
     message: String,
     file: Option<String>,
     byte: Option<u64>,
+}
+
+impl Failure {
+    /// What went wrong.
+    pub fn message(&self) -> &str {
+        &self.error.message
+    }
 }
 
 impl From<&Error> for Failure {
@@ -415,9 +441,19 @@ mod tests {
             memory_budget_bytes: 256 << 20,
             peak_rss_bytes: Some(201 << 20),
             scratch_bytes: 112_240_016,
-            seconds: Timeline { read: 0.1, cluster: 0.5, collapse: 0.5, refit: 0.25, write: 0.05, total: 1.4 },
+            seconds: Timeline {
+                read: 0.1,
+                cluster: 0.5,
+                collapse: 0.5,
+                refit: 0.25,
+                write: 0.05,
+                measure: 0.0,
+                total: 1.4,
+            },
             error_estimate: Some(0.012_345),
+            deviation: None,
             warnings: vec![Warning::TrailingBytes { bytes: 1 }],
+            unmet: None,
         }
     }
 
@@ -429,7 +465,7 @@ mod tests {
         ) + r#""output":{"path":"small.ply","faces":140000,"vertices":70002},"mode":"out-of-core","cells":812345,"#
             + r#""ratio":11.6,"threads":2,"memory_budget_bytes":268435456,"peak_rss_bytes":210763776,"#
             + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.5,"refit":0.25,"write":0.05,"#
-            + r#""total":1.4},"error_estimate":0.012345,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
+            + r#""measure":0.0,"total":1.4},"error_estimate":0.012345,"deviation":null,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
             + r#"last element ignored: if the scan looks cut short, its header counts too few"}]}"#;
         assert_eq!(json(&report()), expected);
     }

@@ -21,12 +21,20 @@ fn help_and_version_go_to_stdout() {
     meshmill(&["--version"]).assert().success().stdout(version).stderr("");
     let help = meshmill(&["--help"]).assert().success().stderr("").get_output().stdout.clone();
     let help = String::from_utf8(help).unwrap();
-    for word in ["reduce", "run", "synth", "Exit codes"] {
+    for word in ["reduce", "run", "compare", "synth", "Exit codes"] {
         assert!(help.contains(word), "{help}");
     }
     let help = meshmill(&["reduce", "--help"]).assert().success().get_output().stdout.clone();
     let help = String::from_utf8(help).unwrap();
-    for option in ["--output", "--faces", "--ratio", "--max-error", "--memory", "--threads", "--scratch", "--json"] {
+    for option in
+        ["--output", "--faces", "--ratio", "--max-error", "--memory", "--threads", "--scratch", "--verify", "--json"]
+    {
+        assert!(help.contains(option), "{option}: {help}");
+    }
+    let help = meshmill(&["compare", "--help"]).assert().success().get_output().stdout.clone();
+    let help = String::from_utf8(help).unwrap();
+    for option in ["--samples", "--every-vertex", "--seed", "--memory", "--threads", "--scratch", "--heatmap", "--json"]
+    {
         assert!(help.contains(option), "{option}: {help}");
     }
 }
@@ -52,6 +60,8 @@ fn wrong_commands_exit_with_2_and_say_why() {
         (&["reduce", "a.ply", "-o", "b.ply", "--faces", "9", "--threads", "0"], "not a number of threads"),
         (&["reduce", "a.ply", "-o", "b.ply", "--faces", "9", "--memory", "-1MiB"], "-1"),
         (&["reduce", "a.ply", "-o", "b.ply", "--faces", "9", "--memory", "lots"], "not a size"),
+        (&["compare", "a.ply"], "<B>"),
+        (&["compare", "a.ply", "b.ply", "--samples", "some"], "not a count"),
         (&["run"], "JOB.toml"),
         (&["synth", "a.ply"], "--faces"),
     ] {

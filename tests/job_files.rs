@@ -48,7 +48,7 @@ fn a_dry_run_prints_a_job_file_that_says_everything() {
     let printed = String::from_utf8(printed).unwrap();
     let job = JobFile::parse(&printed).unwrap().resolve().unwrap();
     assert_eq!(job, JobFile::read(Path::new(file)).unwrap().resolve().map(|job| with_scratch(&job)).unwrap());
-    for key in ["memory", "threads", "scratch", "representative", "boundary_weight", "json"] {
+    for key in ["memory", "threads", "scratch", "representative", "boundary_weight", "json", "verify"] {
         assert!(printed.contains(&format!("{key} = ")), "{key}: {printed}");
     }
 

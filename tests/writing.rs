@@ -73,7 +73,7 @@ fn a_run_that_fails_or_is_interrupted_leaves_nothing() {
     let target = Target::prepare(&out, None).unwrap();
     let interrupted = Progress::cancelled_by(Arc::new(AtomicUsize::new(15)));
     let error = target.write_mesh(&triangle(), Frame::default(), &interrupted).unwrap_err();
-    assert!(matches!(error, Error::Interrupted { signal: 15 }));
+    assert!(matches!(error, Error::Interrupted { signal: 15, .. }));
     assert_eq!((names(&folder), fs::read(&out).unwrap()), (vec!["out.ply".to_string()], b"yesterday".to_vec()));
 }
 
@@ -271,7 +271,7 @@ fn counts_out_of_range_are_refused_before_anything_is_written() {
         assert_eq!(error.exit_code(), 2, "{name} {faces}: {error}");
     }
     let signalled = Progress::cancelled_by(Arc::new(AtomicUsize::new(2)));
-    assert!(matches!(synth(&folder.join("a.ply"), 5_000, 1, &signalled), Err(Error::Interrupted { signal: 2 })));
+    assert!(matches!(synth(&folder.join("a.ply"), 5_000, 1, &signalled), Err(Error::Interrupted { signal: 2, .. })));
     assert!(names(&folder).is_empty());
 }
 

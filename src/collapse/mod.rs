@@ -135,6 +135,12 @@ pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
     36 * faces + (2 * position + 89) * vertices
 }
 
+/// Bytes that a reference of so many faces and vertices adds. One that is kept when twenty times the target or more come in
+/// adds nothing: by then the arrays of those that have gone make room.
+pub fn reference_bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
+    12 * faces + (3 * size_of::<S>() as u64 + 4) * vertices
+}
+
 /// Collapses `mesh` to at most `options.target` faces. `learnt` are the quadrics that its vertices carry, about their
 /// positions; without them, those of its faces. Ends above the target only where `options.max_error` forbids the rest.
 pub fn collapse<S: Coordinate>(

@@ -22,6 +22,7 @@
 //!
 //! [report]
 //! json = false
+//! verify = false
 //! ```
 
 use serde::{Deserialize, Deserializer, Serialize, de};
@@ -127,6 +128,9 @@ pub struct ReportTable {
     /// One JSON object on stdout instead of words.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub json: Option<bool>,
+    /// Measure the result against the scan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verify: Option<bool>,
 }
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
@@ -136,7 +140,7 @@ const KEYS: [(&str, &[&str]); 6] = [
     ("cluster", &["representative"]),
     ("collapse", &["boundary_weight"]),
     ("refit", &["rounds"]),
-    ("report", &["json"]),
+    ("report", &["json", "verify"]),
 ];
 
 /// No job is longer; whatever is, is not a job file.
@@ -288,7 +292,7 @@ mod tests {
     #[test]
     fn what_is_written_reads_back() {
         let text = "max_error = '1e-12'\n[run]\nmemory = 77\nthreads = 3\nscratch = 's'\n[cluster]\n\
-                    representative = 'mean'\n[collapse]\nboundary_weight = 0.1\n[report]\njson = true";
+                    representative = 'mean'\n[collapse]\nboundary_weight = 0.1\n[report]\njson = true\nverify = true";
         let said = with(text).unwrap();
         assert_eq!(said.run.memory, Some(Size(77)));
         assert_eq!(JobFile::parse(&toml::to_string(&said).unwrap()).unwrap(), said);

@@ -1,8 +1,10 @@
 //! A job: what was said ([`JobFile`], from a file or the command line) and what will be done ([`Job`], resolved).
 
+mod comparison;
 mod file;
 mod quantity;
 
+pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
 pub use quantity::{Count, Length, Ratio, Rounds, Threads, Weight};
 
@@ -79,6 +81,8 @@ pub struct Job {
     pub boundary_weight: f64,
     /// Rounds of refit.
     pub refit_rounds: u32,
+    /// Whether the result is measured against the scan.
+    pub verify: bool,
 }
 
 impl JobFile {
@@ -94,6 +98,7 @@ impl JobFile {
             representative: self.cluster.representative.unwrap_or_default(),
             boundary_weight: self.collapse.boundary_weight.map_or(DEFAULT_BOUNDARY_WEIGHT, |Weight(w)| w),
             refit_rounds: self.refit.rounds.map_or(DEFAULT_REFIT_ROUNDS, |Rounds(n)| n),
+            verify: self.report.verify.unwrap_or(false),
         })
     }
 }
@@ -131,7 +136,7 @@ impl Job {
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { boundary_weight: Some(Weight(self.boundary_weight)) },
             refit: RefitTable { rounds: Some(Rounds(self.refit_rounds)) },
-            report: ReportTable::default(),
+            report: ReportTable { verify: Some(self.verify), ..Default::default() },
         }
     }
 }

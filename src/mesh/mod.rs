@@ -1,13 +1,17 @@
-//! The meshes that pass between stages, and the frame in which their coordinates live.
+//! The meshes that pass between stages, the frame in which their coordinates live, and what is asked of them.
 
 pub mod adjacency;
+pub mod boxes;
 mod frame;
 mod indexed;
 mod reference;
+pub mod tree;
+pub mod triangle;
 mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
 pub use indexed::{IndexedMesh, narrow, step, widen};
 pub use reference::Reference;
+pub use tree::{Nearest, Tree};
 pub(crate) use weld::{BATCH, PositionTable};
 pub use weld::{WeldReport, weld};

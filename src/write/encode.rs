@@ -79,8 +79,9 @@ pub(crate) fn ply_vertex(p: [f32; 3]) -> [u8; 12] {
     record
 }
 
+/// A vertex in doubles.
 #[inline(always)]
-fn ply_vertex_double(p: [f64; 3]) -> [u8; 24] {
+pub(crate) fn ply_vertex_double(p: [f64; 3]) -> [u8; 24] {
     let mut record = [0; 24];
     for (bytes, x) in record.as_chunks_mut::<8>().0.iter_mut().zip(p) {
         *bytes = x.to_le_bytes();

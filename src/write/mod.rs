@@ -7,10 +7,12 @@
 //! folder sweeps it.
 
 mod encode;
+mod shaded;
 mod sink;
 mod target;
 
 pub(crate) use encode::{Header, ply_face, ply_vertex, stl_facet};
+pub use shaded::Shading;
 pub(crate) use sink::Sink;
 pub use target::Target;
 

@@ -132,6 +132,6 @@ mod tests {
         let signal = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(2));
         let progress = Progress::cancelled_by(signal);
         let mut sink = Sink::new(Vec::new(), Path::new("x"), &progress);
-        assert!(matches!(sink.put(&vec![0; 2 * BUFFER]), Err(Error::Interrupted { signal: 2 })));
+        assert!(matches!(sink.put(&vec![0; 2 * BUFFER]), Err(Error::Interrupted { signal: 2, .. })));
     }
 }

@@ -44,6 +44,14 @@ impl Target {
         Ok(Target { path, folder, format, temporary })
     }
 
+    /// Refuses to replace a further input.
+    pub fn check_is_not(&self, input: &Path) -> Result<()> {
+        match fs::metadata(&self.path) {
+            Ok(existing) => check_not_input(&self.path, &existing, input),
+            Err(_) => Ok(()),
+        }
+    }
+
     /// What will be written.
     pub fn format(&self) -> Format {
         self.format

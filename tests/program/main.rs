@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod borders;
+mod compare;
 mod counts;
 mod determinism;
 mod interrupt;

@@ -1,0 +1,144 @@
+//! Two meshes opened, measured, and reported.
+
+use super::{Clock, MOST_THREADS, on_threads};
+use crate::error::{Error, Result};
+use crate::job::Comparison;
+use crate::measure::{Deviation, Measured, Needs, Options, Pair, Scale, measure};
+use crate::mesh::Coordinate;
+use crate::plan::{Purse, streaming_budget};
+use crate::progress::{Progress, Stage};
+use crate::read::{Crew, Scalar, Scan};
+use crate::report::{ComparisonReport, ComparisonTimeline, HeatmapFile, MeshFile, Warning, peak_rss_bytes};
+use crate::scratch::Scratch;
+use crate::write::{Shading, Target};
+use std::path::Path;
+use std::time::Instant;
+
+/// Measures how far two meshes are from each other, as `comparison` says, and reports.
+pub fn compare(comparison: &Comparison, progress: &Progress) -> Result<ComparisonReport> {
+    let threads = comparison.threads.min(MOST_THREADS);
+    on_threads(threads, || {
+        let begun = Instant::now();
+        progress.begin(Stage::Read, 0);
+        let out = comparison.heatmap.as_deref().map(|path| target(path, comparison)).transpose()?;
+        let a = Scan::open(&comparison.a, progress)?;
+        let b = Scan::open(&comparison.b, progress)?;
+        let pair = Pair { a: &a, b: &b };
+        let purse = Purse::new(comparison.memory.0, threads, false);
+        let run = Run { comparison, threads, progress, pair, purse, begun };
+        match pair.held().scalar() {
+            Scalar::F32 => run.through::<f32>(out),
+            Scalar::F64 => run.through::<f64>(out),
+        }
+    })
+}
+
+fn target(path: &Path, comparison: &Comparison) -> Result<Target> {
+    let target = Target::prepare(path, Some(&comparison.a))?;
+    target.check_is_not(&comparison.b)?;
+    target.check_holds_colours()?;
+    Ok(target)
+}
+
+/// One comparison under way.
+struct Run<'a> {
+    comparison: &'a Comparison,
+    threads: usize,
+    progress: &'a Progress,
+    pair: Pair<'a>,
+    purse: Purse,
+    begun: Instant,
+}
+
+impl Run<'_> {
+    fn through<S: Coordinate>(&self, out: Option<Target>) -> Result<ComparisonReport> {
+        let Comparison { samples, most_vertices, seed, .. } = *self.comparison;
+        let array_bytes = self.purse.while_streaming();
+        let options = Options { samples, most_vertices, seed, shades: out.is_some(), array_bytes };
+        let mut clock = Clock::new(self.begun);
+        let mut seconds = ComparisonTimeline { read: clock.lap(), ..Default::default() };
+        let scratch = Scratch::in_folder(&self.comparison.scratch);
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let measured = measure::<S>(self.pair, &crew, &scratch, &options).map_err(whole_budget)?;
+        seconds.measure = clock.lap();
+        let heatmap = out.map(|out| self.shade(out, &measured)).transpose()?;
+        seconds.write = clock.lap();
+        seconds.total = self.begun.elapsed().as_secs_f64();
+        Ok(ComparisonReport {
+            a: mesh_file(self.pair.a),
+            b: mesh_file(self.pair.b),
+            deviation: (&measured.deviation).into(),
+            seed,
+            heatmap,
+            threads: self.threads,
+            memory_budget_bytes: self.comparison.memory.0,
+            peak_rss_bytes: peak_rss_bytes(),
+            scratch_bytes: scratch.bytes(),
+            seconds,
+            warnings: [self.pair.a, self.pair.b].into_iter().filter_map(trailing).collect(),
+        })
+    }
+
+    /// Writes the mesh that was held with its deviation.
+    fn shade<S: Coordinate>(&self, out: Target, measured: &Measured<S>) -> Result<HeatmapFile> {
+        let scale = Scale::of(&measured.shades);
+        let colour = |length| scale.colour(length);
+        let shading = Shading { property: "deviation", values: &measured.shades, colour: &colour };
+        let path = self.comparison.heatmap.clone().unwrap_or_default();
+        out.write_shaded(&measured.mesh, measured.frame, &shading, self.progress)?;
+        Ok(HeatmapFile { path, mesh: if self.pair.holds_a() { "a" } else { "b" }, range: [0.0, scale.top()] })
+    }
+}
+
+/// What a result is measured with when nobody said how: as many points as the budget has room for, up to the defaults of a
+/// comparison.
+fn options(purse: &Purse) -> Options {
+    let (samples, most_vertices) = (crate::measure::DEFAULT_SAMPLES, crate::measure::MOST_VERTICES);
+    Options { samples, most_vertices, seed: 0, shades: false, array_bytes: purse.while_streaming() }
+}
+
+/// Refuses a budget in which a result of so many faces could not be measured afterwards.
+pub(super) fn check_verifiable<S: Coordinate>(faces: u64, scan: &Scan, purse: &Purse) -> Result<()> {
+    let needs = |options: &Options| Needs::of_result::<S>(faces.min(scan.triangle_count()), scan, options);
+    options(purse).fitted(needs).map(|_| ()).map_err(whole_budget)
+}
+
+/// Measures a result that was just written against its scan.
+pub(super) fn verify(
+    scan: &Scan,
+    output: &Path,
+    purse: &Purse,
+    scratch: &Scratch,
+    progress: &Progress,
+) -> Result<Deviation> {
+    let result = Scan::open(output, progress)?;
+    let pair = Pair { a: scan, b: &result };
+    let crew = Crew { workers: purse.workers, progress };
+    match pair.held().scalar() {
+        Scalar::F32 => verify_in::<f32>(pair, &crew, purse, scratch),
+        Scalar::F64 => verify_in::<f64>(pair, &crew, purse, scratch),
+    }
+    .map_err(whole_budget)
+}
+
+fn verify_in<S: Coordinate>(pair: Pair, crew: &Crew, purse: &Purse, scratch: &Scratch) -> Result<Deviation> {
+    let options = options(purse).fitted(|options| Needs::of::<S>(&pair, options))?;
+    Ok(measure::<S>(pair, crew, scratch, &options)?.deviation)
+}
+
+/// A stage knows what its arrays take; the process takes more.
+fn whole_budget(error: Error) -> Error {
+    match error {
+        Error::Budget { what, needed_bytes } => Error::Budget { what, needed_bytes: streaming_budget(needed_bytes) },
+        other => other,
+    }
+}
+
+fn mesh_file(scan: &Scan) -> MeshFile {
+    MeshFile { path: scan.path().into(), faces: scan.face_count(), vertices: scan.vertex_count() }
+}
+
+fn trailing(scan: &Scan) -> Option<Warning> {
+    let bytes = scan.trailing_bytes();
+    (bytes > 0).then_some(Warning::TrailingBytes { bytes })
+}
