@@ -26,7 +26,6 @@ use crate::error::{Error, Result};
 use crate::measure;
 use crate::mesh::Coordinate;
 use crate::read::{Crew, Layout, Scan, load_peak_bytes};
-use crate::refit;
 
 /// Resident before any stage has allocated: 6 MiB of program, libraries and stacks, measured, and as much again for what
 /// allocators keep back.
@@ -94,15 +93,10 @@ impl Purse {
         (self.for_arrays() as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
     }
 
-    /// What a collapse takes that begins within twenty times the target.
+    /// What a collapse takes that begins within twenty times the target. The refit, after it, takes less.
     fn near_bytes<S: Coordinate>(&self, faces: u64, vertices: u64) -> u64 {
-        let collapsing = collapse::bytes::<S>(faces, vertices);
-        if !self.refits {
-            return collapsing;
-        }
-        let least = refit::LEAST_RATIO as u64;
-        let refitting = refit::bytes::<S>((faces / least, vertices / least), (faces, vertices));
-        refitting.max(collapsing + collapse::reference_bytes::<S>(faces, vertices))
+        let kept = if self.refits { collapse::reference_bytes::<S>(faces, vertices) } else { 0 };
+        collapse::bytes::<S>(faces, vertices) + kept
     }
 
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out

