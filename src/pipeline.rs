@@ -5,7 +5,7 @@ use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::Job;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
-use crate::plan::{Cells, LEAST_RATIO, Purse, in_core_budget};
+use crate::plan::{Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
@@ -14,12 +14,9 @@ use crate::scratch::Scratch;
 use crate::write;
 use std::time::Instant;
 
-/// Threads that are started at most: more than any machine that this is for has cores, and few enough for their stacks.
-const MOST_THREADS: usize = 64;
-
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
-    let threads = job.threads.min(MOST_THREADS);
+    let threads = job.threads.min(most_threads(job.memory.0));
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
@@ -29,7 +26,7 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare(&job.output, Some(&job.input))?;
         let scan = Scan::open(&job.input, progress)?;
-        let purse = Purse::new(job.memory.0, threads);
+        let purse = Purse::new(job.memory.0, threads, job.target.faces(scan.triangle_count()));
         let run = Run { job, threads, progress, scan: &scan, purse, begun };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
@@ -166,7 +163,7 @@ impl Run<'_> {
                 let path = self.scan.path().display();
                 let what =
                     format!("{path}: clustered within this budget, {faces} faces are left of the {enough} asked for");
-                return Err(Error::Budget { what, needed_bytes: in_core_budget::<S>(self.scan) });
+                return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
             }
             return Ok(Intermediate {
                 mesh: clustered.mesh,

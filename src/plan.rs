@@ -10,9 +10,11 @@
 //! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
 //! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
 //! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
-//! | collapse | 36 a face, 109 a vertex (133), and a tenth: about 100 a face on closed scans |
+//! | threads | 1.5 MiB each (stacks, heaps of their own); a 24th of the budget is set aside, and fewer run if need be |
+//! | collapse | 36 a face, 109 a vertex (133), and a fourteenth: about 97 a face on closed scans |
+//! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
 //!
-//! Out of core the collapse decides how many cells there are: 200 bytes each, two faces a cell. Scans differ, so the
+//! Out of core the collapse decides how many cells there are: 195 bytes each, two faces a cell. Scans differ, so the
 //! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
 //!
 //! The intermediate mesh is [`AIM`] times as large as the result where that fits, and at least [`LEAST_RATIO`] times:
@@ -43,7 +45,19 @@ const FACES_A_CELL: f64 = 1.95;
 const SURVIVORS_A_CELL: usize = 4;
 
 /// What the collapse takes beside its arrays, as a share of them: lists of a round, and what allocators keep back.
-const COLLAPSE_MARGIN: f64 = 0.1;
+const COLLAPSE_MARGIN: f64 = 0.07;
+
+/// What the last steps of the collapse take for each face that is asked for: a heap of its edges, which grows by
+/// doubling. By then the lists of the rounds are gone, so many bytes a vertex.
+const TAIL_BYTES: u64 = 96;
+const ROUND_BYTES: u64 = 24;
+
+/// What a thread takes: its stack, and what its part of the heap keeps back.
+const THREAD_BYTES: u64 = 3 * MIB / 2;
+/// The share of the budget that is set aside for threads.
+const THREADS_SHARE: u64 = 24;
+/// Threads at most: more than any machine that this is for has cores, and few enough for their stacks.
+const MOST_THREADS: u64 = 64;
 
 /// The fewest cells that are worth clustering into.
 const LEAST_CELLS: usize = 4096;
@@ -61,21 +75,23 @@ pub struct Cells {
 #[derive(Debug, Clone, Copy)]
 pub struct Purse {
     bytes: u64,
+    /// Faces that are asked for; 0 for as few as an error bound allows.
+    target: u64,
     /// Threads that streaming passes may use: windows and caches are paid for each.
     pub workers: usize,
 }
 
 impl Purse {
     /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
-    pub fn new(bytes: u64, threads: usize) -> Self {
+    pub fn new(bytes: u64, threads: usize, target: Option<u64>) -> Self {
         let fits = |n: &usize| streaming_bytes(*n) <= aside(bytes);
         let workers = (1..=threads).rev().find(fits).unwrap_or(1);
-        Purse { bytes, workers }
+        Purse { bytes, target: target.unwrap_or(0), workers }
     }
 
     /// What is left for arrays while nothing streams.
     fn for_arrays(&self) -> u64 {
-        self.bytes.saturating_sub(BASE_BYTES)
+        self.bytes.saturating_sub(BASE_BYTES + most_threads(self.bytes) as u64 * THREAD_BYTES)
     }
 
     /// What is left for arrays while a scan streams past. It does not depend on the workers: their share is set aside as a
@@ -84,9 +100,10 @@ impl Purse {
         self.for_arrays().saturating_sub(aside(self.bytes))
     }
 
-    /// What the collapse's own arrays may take.
-    fn for_collapse(&self) -> u64 {
-        (self.for_arrays() as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
+    /// What the collapse's own arrays may take if it begins with so many vertices.
+    fn for_collapse(&self, vertices: u64) -> u64 {
+        let tail = TAIL_BYTES.saturating_mul(self.target).saturating_sub(ROUND_BYTES.saturating_mul(vertices));
+        (self.for_arrays().saturating_sub(tail) as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
     }
 
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out
@@ -94,7 +111,8 @@ impl Purse {
     pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
         let a_vertex = collapse::bytes::<S>(0, 1);
-        let most_vertices = self.for_collapse().checked_sub(collapse::bytes::<S>(faces, 0))? / a_vertex;
+        let for_collapse = self.for_scan(scan);
+        let most_vertices = for_collapse.checked_sub(collapse::bytes::<S>(faces, 0))? / a_vertex;
         let fits = match scan.layout() {
             Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= self.for_arrays(),
             // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
@@ -103,13 +121,21 @@ impl Purse {
         fits.then_some(most_vertices)
     }
 
+    /// What the collapse of the scan itself may take.
+    fn for_scan(&self, scan: &Scan) -> u64 {
+        let faces = scan.triangle_count();
+        // A scan of no more faces than are asked for is welded, not collapsed.
+        let purse = Purse { target: if self.target < faces { self.target } else { 0 }, ..*self };
+        purse.for_collapse(scan.vertex_count().min(faces / 2))
+    }
+
     /// The cells for a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
     pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Cells> {
         let most_cells = self.most_cells::<S>(scan.layout());
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
-            let enough = least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
-            let needed_bytes = enough.min(in_core_budget::<S>(scan));
+            let enough = self.least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
+            let needed_bytes = enough.min(self.in_core_budget::<S>(scan));
             let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
             let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
             return Err(Error::Budget { what, needed_bytes });
@@ -126,7 +152,7 @@ impl Purse {
             let survivors = (SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64 * n;
             cluster::summing_bytes(cells, layout) + survivors <= self.while_streaming()
                 && cluster::placing_bytes(cells, S::DOUBLE) + 12 * faces <= self.for_arrays()
-                && collapse::bytes::<S>(faces, n) <= self.for_collapse()
+                && collapse::bytes::<S>(faces, n) <= self.for_collapse(n)
         };
         let (mut low, mut high) = (0, cluster::MAX_CELLS + 1);
         while high - low > 1 {
@@ -145,13 +171,35 @@ impl Purse {
         let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
         let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
         let (face_bytes, vertex_bytes) = (collapse::bytes::<S>(1, 0), collapse::bytes::<S>(0, 1));
-        (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse() })
+        (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
+    }
+
+    /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
+    pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
+        let collapse = collapse::bytes::<S>(scan.triangle_count(), scan.vertex_count());
+        let loading = load_peak_bytes(scan);
+        self.least_budget(|purse| collapse <= purse.for_scan(scan) && loading <= purse.for_arrays())
+    }
+
+    /// The least budget in whole mebibytes that is enough; the largest of all if none is.
+    fn least_budget(&self, is_enough: impl Fn(&Purse) -> bool) -> u64 {
+        let (mut low, mut high) = (0, u64::MAX / MIB);
+        while high - low > 1 {
+            let middle = low.midpoint(high);
+            if is_enough(&Purse { bytes: middle * MIB, ..*self }) { high = middle } else { low = middle }
+        }
+        high * MIB
     }
 }
 
 /// What so many workers of a streaming pass take.
 fn streaming_bytes(workers: usize) -> u64 {
     Crew::stream_bytes(workers) + (workers * (cluster::bytes_per_worker() + cluster::bytes_per_spill_worker())) as u64
+}
+
+/// Threads that may run within a budget: two are always there.
+pub fn most_threads(bytes: u64) -> usize {
+    (bytes / THREADS_SHARE / THREAD_BYTES).clamp(2, MOST_THREADS) as usize
 }
 
 /// What is set aside for streaming.
@@ -167,21 +215,4 @@ fn aside_without_spill(bytes: u64) -> u64 {
 /// Cells for an intermediate mesh of `ratio` times `target` faces.
 fn cells_for(target: u64, ratio: f64) -> usize {
     (target as f64 * ratio / FACES_A_CELL).ceil() as usize
-}
-
-/// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
-pub fn in_core_budget<S: Coordinate>(scan: &Scan) -> u64 {
-    let collapse = collapse::bytes::<S>(scan.triangle_count(), scan.vertex_count());
-    let loading = load_peak_bytes(scan);
-    least_budget(|purse| collapse <= purse.for_collapse() && loading <= purse.for_arrays())
-}
-
-/// The least budget in whole mebibytes that is enough; the largest of all if none is.
-fn least_budget(is_enough: impl Fn(&Purse) -> bool) -> u64 {
-    let (mut low, mut high) = (0, u64::MAX / MIB);
-    while high - low > 1 {
-        let middle = low.midpoint(high);
-        if is_enough(&Purse { bytes: middle * MIB, workers: 1 }) { high = middle } else { low = middle }
-    }
-    high * MIB
 }
