@@ -9,7 +9,7 @@ use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Target};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
-use crate::plan::{Cells, LEAST_RATIO, Purse};
+use crate::plan::{Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
@@ -19,18 +19,16 @@ use crate::scratch::Scratch;
 use crate::write;
 use std::time::Instant;
 
-/// Threads that are started at most: more than any machine that this is for has cores, and few enough for their stacks.
-const MOST_THREADS: usize = 64;
-
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
-    let threads = job.threads.min(MOST_THREADS);
+    let threads = job.threads.min(most_threads(job.memory.0));
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare(&job.output, Some(&job.input))?;
         let scan = Scan::open(&job.input, progress)?;
-        let purse = Purse::new(job.memory.0, threads, job.refit_rounds > 0);
+        let asked = job.target.faces(scan.triangle_count());
+        let purse = Purse::new(job.memory.0, threads, asked, job.refit_rounds > 0);
         let run = Run { job, threads, progress, scan: &scan, purse, begun };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
@@ -146,7 +144,7 @@ impl Run<'_> {
 
     /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
     fn intermediate<S: Coordinate>(&self, asked: Option<u64>) -> Result<Intermediate<S>> {
-        if let Some(most_vertices) = self.purse.in_core::<S>(self.scan, asked) {
+        if let Some(most_vertices) = self.purse.in_core::<S>(self.scan) {
             self.progress.begin(Stage::Read, self.scan.bytes());
             let crew = Crew { workers: 1, progress: self.progress };
             if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {

@@ -10,8 +10,10 @@
 //! | in core, loading | 12 a face, 16 a vertex and a hash table of 6 to 12 (28 and the table in doubles) |
 //! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
 //! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
-//! | collapse | 36 a face, 113 a vertex (137), and a tenth: about 102 a face on closed scans |
+//! | threads | 1.5 MiB each (stacks, heaps of their own); a 24th of the budget is set aside, and fewer run if need be |
+//! | collapse | 36 a face, 113 a vertex (137), and a fourteenth: about 99 a face on closed scans |
 //! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target |
+//! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
 //!
 //! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
 //! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
@@ -45,7 +47,19 @@ const FACES_A_CELL: f64 = 1.95;
 const SURVIVORS_A_CELL: usize = 4;
 
 /// What the collapse takes beside its arrays, as a share of them: lists of a round, and what allocators keep back.
-const COLLAPSE_MARGIN: f64 = 0.1;
+const COLLAPSE_MARGIN: f64 = 0.07;
+
+/// What the last steps of the collapse take for each face that is asked for: a heap of its edges, which grows by
+/// doubling. By then the lists of the rounds are gone, so many bytes a vertex.
+const TAIL_BYTES: u64 = 96;
+const ROUND_BYTES: u64 = 24;
+
+/// What a thread takes: its stack, and what its part of the heap keeps back.
+const THREAD_BYTES: u64 = 3 * MIB / 2;
+/// The share of the budget that is set aside for threads.
+const THREADS_SHARE: u64 = 24;
+/// Threads at most: more than any machine that this is for has cores, and few enough for their stacks.
+const MOST_THREADS: u64 = 64;
 
 /// The fewest cells that are worth clustering into.
 const LEAST_CELLS: usize = 4096;
@@ -63,6 +77,8 @@ pub struct Cells {
 #[derive(Debug, Clone, Copy)]
 pub struct Purse {
     bytes: u64,
+    /// Faces that are asked for; 0 for as few as an error bound allows.
+    target: u64,
     /// Threads that streaming passes may use: windows and caches are paid for each.
     pub workers: usize,
     /// Whether the result is refitted, to a reference that the collapse keeps.
@@ -71,15 +87,15 @@ pub struct Purse {
 
 impl Purse {
     /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
-    pub fn new(bytes: u64, threads: usize, refits: bool) -> Self {
+    pub fn new(bytes: u64, threads: usize, target: Option<u64>, refits: bool) -> Self {
         let fits = |n: &usize| streaming_bytes(*n) <= aside(bytes);
         let workers = (1..=threads).rev().find(fits).unwrap_or(1);
-        Purse { bytes, workers, refits }
+        Purse { bytes, target: target.unwrap_or(0), workers, refits }
     }
 
     /// What is left for arrays while nothing streams.
     fn for_arrays(&self) -> u64 {
-        self.bytes.saturating_sub(BASE_BYTES)
+        self.bytes.saturating_sub(BASE_BYTES + most_threads(self.bytes) as u64 * THREAD_BYTES)
     }
 
     /// What is left for arrays while a scan streams past. It does not depend on the workers: their share is set aside as a
@@ -88,9 +104,10 @@ impl Purse {
         self.for_arrays().saturating_sub(aside(self.bytes))
     }
 
-    /// What the collapse's own arrays may take.
-    fn for_collapse(&self) -> u64 {
-        (self.for_arrays() as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
+    /// What the collapse's own arrays may take if it begins with so many vertices.
+    fn for_collapse(&self, vertices: u64) -> u64 {
+        let tail = TAIL_BYTES.saturating_mul(self.target).saturating_sub(ROUND_BYTES.saturating_mul(vertices));
+        (self.for_arrays().saturating_sub(tail) as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
     }
 
     /// What a collapse takes that begins within twenty times the target. The refit, after it, takes less.
@@ -101,19 +118,30 @@ impl Purse {
 
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out
     /// to have more.
-    pub fn in_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Option<u64> {
+    pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
-        let near = target.is_none_or(|n| faces / 20 < n);
         let bytes = |faces, vertices| {
-            if near { self.near_bytes::<S>(faces, vertices) } else { collapse::bytes::<S>(faces, vertices) }
+            if self.target == 0 || scan.triangle_count() / 20 < self.target {
+                self.near_bytes::<S>(faces, vertices)
+            } else {
+                collapse::bytes::<S>(faces, vertices)
+            }
         };
-        let most_vertices = self.for_collapse().checked_sub(bytes(faces, 0))? / bytes(0, 1);
+        let most_vertices = self.for_scan(scan).checked_sub(bytes(faces, 0))? / bytes(0, 1);
         let fits = match scan.layout() {
             Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= self.for_arrays(),
             // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
             Layout::Soup => faces / 2 <= most_vertices,
         };
         fits.then_some(most_vertices)
+    }
+
+    /// What the collapse of the scan itself may take.
+    fn for_scan(&self, scan: &Scan) -> u64 {
+        let faces = scan.triangle_count();
+        // A scan of no more faces than are asked for is welded, not collapsed.
+        let purse = Purse { target: if self.target < faces { self.target } else { 0 }, ..*self };
+        purse.for_collapse(scan.vertex_count().min(faces / 2))
     }
 
     /// The cells for a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
@@ -139,7 +167,7 @@ impl Purse {
             let survivors = (SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64 * n;
             cluster::summing_bytes(cells, layout) + survivors <= self.while_streaming()
                 && cluster::placing_bytes(cells, S::DOUBLE) + 12 * faces <= self.for_arrays()
-                && self.near_bytes::<S>(faces, n) <= self.for_collapse()
+                && self.near_bytes::<S>(faces, n) <= self.for_collapse(n)
         };
         let (mut low, mut high) = (0, cluster::MAX_CELLS + 1);
         while high - low > 1 {
@@ -147,23 +175,6 @@ impl Purse {
             if fits(middle) { low = middle } else { high = middle }
         }
         low
-    }
-
-    /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
-    pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
-        let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count());
-        let loading = load_peak_bytes(scan);
-        self.least_budget(|purse| collapse <= purse.for_collapse() && loading <= purse.for_arrays())
-    }
-
-    /// The least budget in whole mebibytes that is enough; the largest of all if none is.
-    fn least_budget(&self, is_enough: impl Fn(&Purse) -> bool) -> u64 {
-        let (mut low, mut high) = (0, u64::MAX / MIB);
-        while high - low > 1 {
-            let middle = low.midpoint(high);
-            if is_enough(&Purse { bytes: middle * MIB, ..*self }) { high = middle } else { low = middle }
-        }
-        high * MIB
     }
 
     /// What clustering into so many cells may use: survivors, bytes of binned vertices, and the mesh that may come of it.
@@ -175,7 +186,24 @@ impl Purse {
         let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
         let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
         let (face_bytes, vertex_bytes) = (self.near_bytes::<S>(1, 0), self.near_bytes::<S>(0, 1));
-        (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse() })
+        (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
+    }
+
+    /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
+    pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
+        let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count());
+        let loading = load_peak_bytes(scan);
+        self.least_budget(|purse| collapse <= purse.for_scan(scan) && loading <= purse.for_arrays())
+    }
+
+    /// The least budget in whole mebibytes that is enough; the largest of all if none is.
+    fn least_budget(&self, is_enough: impl Fn(&Purse) -> bool) -> u64 {
+        let (mut low, mut high) = (0, u64::MAX / MIB);
+        while high - low > 1 {
+            let middle = low.midpoint(high);
+            if is_enough(&Purse { bytes: middle * MIB, ..*self }) { high = middle } else { low = middle }
+        }
+        high * MIB
     }
 }
 
@@ -185,6 +213,11 @@ const _: () = assert!(measure::bytes_per_worker() <= cluster::bytes_per_worker()
 /// What so many workers of a streaming pass take.
 fn streaming_bytes(workers: usize) -> u64 {
     Crew::stream_bytes(workers) + (workers * (cluster::bytes_per_worker() + cluster::bytes_per_spill_worker())) as u64
+}
+
+/// Threads that may run within a budget: two are always there.
+pub fn most_threads(bytes: u64) -> usize {
+    (bytes / THREADS_SHARE / THREAD_BYTES).clamp(2, MOST_THREADS) as usize
 }
 
 /// What is set aside for streaming.
@@ -204,5 +237,5 @@ fn cells_for(target: u64, ratio: f64) -> usize {
 
 /// The least budget that has room for so many bytes of arrays while a scan streams past.
 pub fn streaming_budget(arrays: u64) -> u64 {
-    Purse::new(0, 1, false).least_budget(|purse| arrays <= purse.while_streaming())
+    Purse::new(0, 1, None, false).least_budget(|purse| arrays <= purse.while_streaming())
 }

@@ -186,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_count_is_near_and_the_same_whoever_counts() {
-        let keys: Vec<u64> = (0..400_000u64).map(|i| (i % 800) | (i / 800) << 21 | (i % 7) << 42).collect();
+        let keys: Vec<u64> = (0..400_000u64).map(|i| (i % 800) | ((i / 800) << 21) | ((i % 7) << 42)).collect();
         let count = |workers: usize| {
             let mut all = Counted::<CELLS>::default();
             for part in keys.chunks(keys.len().div_ceil(workers)) {

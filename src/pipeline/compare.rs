@@ -1,11 +1,11 @@
 //! Two meshes opened, measured, and reported.
 
-use super::{Clock, MOST_THREADS, on_threads};
+use super::{Clock, on_threads};
 use crate::error::{Error, Result};
 use crate::job::Comparison;
 use crate::measure::{Deviation, Measured, Needs, Options, Pair, Scale, measure};
 use crate::mesh::Coordinate;
-use crate::plan::{Purse, streaming_budget};
+use crate::plan::{Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scalar, Scan};
 use crate::report::{ComparisonReport, ComparisonTimeline, HeatmapFile, MeshFile, Warning, peak_rss_bytes};
@@ -16,7 +16,7 @@ use std::time::Instant;
 
 /// Measures how far two meshes are from each other, as `comparison` says, and reports.
 pub fn compare(comparison: &Comparison, progress: &Progress) -> Result<ComparisonReport> {
-    let threads = comparison.threads.min(MOST_THREADS);
+    let threads = comparison.threads.min(most_threads(comparison.memory.0));
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
@@ -24,7 +24,7 @@ pub fn compare(comparison: &Comparison, progress: &Progress) -> Result<Compariso
         let a = Scan::open(&comparison.a, progress)?;
         let b = Scan::open(&comparison.b, progress)?;
         let pair = Pair { a: &a, b: &b };
-        let purse = Purse::new(comparison.memory.0, threads, false);
+        let purse = Purse::new(comparison.memory.0, threads, None, false);
         let run = Run { comparison, threads, progress, pair, purse, begun };
         match pair.held().scalar() {
             Scalar::F32 => run.through::<f32>(out),
