@@ -14,4 +14,4 @@ mod precision;
 mod support;
 
 /// A budget in which scans of 100,000 faces and more go out of core.
-const TIGHT: &str = "20MiB";
+const TIGHT: &str = "24MiB";

@@ -23,7 +23,7 @@ fn scans(folder: &Folder) -> Vec<PathBuf> {
 fn budgets_are_kept_by_every_input_and_number_of_threads() {
     let folder = Folder::new();
     for scan in scans(&folder) {
-        for memory in ["20MiB", "32MiB", "64MiB", "128MiB"] {
+        for memory in ["24MiB", "32MiB", "64MiB", "128MiB"] {
             for threads in ["1", "8"] {
                 within(&folder, &scan, memory, threads);
             }
