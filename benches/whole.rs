@@ -30,7 +30,7 @@ impl Row<'_> {
             scratch: None,
             representative: Representative::Quadric,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
-            boundary_weight: 1.0,
+            policies: Default::default(),
         };
         reduce(&job, &Progress::default()).unwrap()
     }

@@ -4,7 +4,12 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
-use meshmill::job::{Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads};
+use meshmill::collapse::{Placement, Quadrics, Weighting};
+use meshmill::job::{
+    CollapseTable, Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
+};
+use serde::Deserialize;
+use serde::de::value::{Error as WordError, StrDeserializer};
 
 /// Reduces huge meshes to the face count you ask for, in fixed memory
 #[derive(Debug, Parser)]
@@ -52,6 +57,9 @@ pub struct ReduceArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     refit: Option<Rounds>,
 
+    #[command(flatten)]
+    collapse: CollapseArgs,
+
     /// Worker threads; the result does not depend on them [default: the cores]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     threads: Option<Threads>,
@@ -80,6 +88,32 @@ struct TargetArgs {
     /// As few faces as keep this distance, in the scan's units, as estimated
     #[arg(long, value_name = "LENGTH", allow_negative_numbers = true)]
     max_error: Option<Length>,
+}
+
+/// The policies of the collapse.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Policies")]
+struct CollapseArgs {
+    /// Quadrics that place and price: current or accumulated (the thesis's) [default: current]
+    #[arg(long, value_name = "WHICH", value_parser = word::<Quadrics>)]
+    quadrics: Option<Quadrics>,
+
+    /// Where merged vertices go: optimal, line, endpoint-or-midpoint or endpoint [default: optimal]
+    #[arg(long, value_name = "WHERE", value_parser = word::<Placement>)]
+    placement: Option<Placement>,
+
+    /// What faces count by: area, angle or uniform [default: area]
+    #[arg(long, value_name = "HOW", value_parser = word::<Weighting>)]
+    weighting: Option<Weighting>,
+
+    /// How strongly open borders are held in place [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    boundary_weight: Option<Weight>,
+}
+
+/// One of the words that a job file takes.
+fn word<T: for<'de> Deserialize<'de>>(text: &str) -> Result<T, WordError> {
+    T::deserialize(StrDeserializer::new(text))
 }
 
 /// `meshmill run`
@@ -124,9 +158,21 @@ impl From<ReduceArgs> for JobFile {
         JobFile {
             scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
             run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
+            collapse: args.collapse.into(),
             refit: RefitTable { rounds: args.refit },
             report: ReportTable { json: Some(args.json) },
             ..Default::default()
+        }
+    }
+}
+
+impl From<CollapseArgs> for CollapseTable {
+    fn from(args: CollapseArgs) -> Self {
+        CollapseTable {
+            quadrics: args.quadrics,
+            placement: args.placement,
+            weighting: args.weighting,
+            boundary_weight: args.boundary_weight,
         }
     }
 }

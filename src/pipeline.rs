@@ -132,6 +132,11 @@ impl Run<'_> {
                 return Ok(Intermediate { mesh, frame, quadrics: None, source: Source::Loaded(report) });
             }
         }
+        if let Some(policy) = self.job.policies.needs_the_scan() {
+            let path = self.scan.path().display();
+            let what = format!("{path}: {policy} cannot be kept where the scan has to be clustered first");
+            return Err(Error::Budget { what, needed_bytes: in_core_budget::<S>(self.scan) });
+        }
         let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
         self.clustered(asked, wanted, most)
     }
@@ -151,7 +156,7 @@ impl Run<'_> {
                 cells,
                 raw_faces,
                 spill_resident_bytes,
-                boundary_weight: self.job.boundary_weight,
+                boundary_weight: self.job.policies.boundary_weight,
             };
             self.progress.begin(Stage::Cluster, 0);
             let scratch = Scratch::in_folder(self.job.scratch_folder());
@@ -190,7 +195,7 @@ impl Run<'_> {
         collapse::Options {
             target,
             max_error,
-            boundary_weight: self.job.boundary_weight,
+            policies: self.job.policies,
             keep_reference: self.job.refit_rounds > 0 && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
     }

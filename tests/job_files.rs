@@ -33,8 +33,19 @@ fn one_scan_says_what_its_comments_say() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/one-scan.toml");
     let job = JobFile::read(&path).unwrap().resolve().unwrap();
     assert_eq!((job.target, job.memory), (Target::Faces(100_000), Size(256 << 20)));
-    assert_eq!((job.representative, job.boundary_weight), (Representative::Quadric, 1.0));
+    assert_eq!((job.representative, job.policies), (Representative::Quadric, Default::default()));
     assert_eq!(job.input, path.parent().unwrap().join("../scan.ply"));
+}
+
+#[test]
+fn one_scan_shows_every_key() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/one-scan.toml");
+    let shown = std::fs::read_to_string(&path).unwrap();
+    let full = toml::to_string(&JobFile::read(&path).unwrap().resolve().unwrap().said()).unwrap();
+    for key in full.lines().filter_map(|line| line.split_once(" = ")).map(|(key, _)| key) {
+        let shows = |line: &str| line.trim_start_matches("# ").starts_with(&format!("{key} = "));
+        assert!(shown.lines().any(shows), "{key} is not shown");
+    }
 }
 
 #[test]

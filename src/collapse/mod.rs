@@ -35,10 +35,14 @@ mod commit;
 mod groups;
 mod pairs;
 mod pieces;
+mod place;
+mod policy;
 mod surface;
 mod tail;
+mod weigh;
 
 pub use classify::Irregularities;
+pub use policy::{Placement, Policies, Quadrics, Weighting};
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
@@ -58,11 +62,17 @@ pub struct Options {
     pub target: usize,
     /// Largest error of a merged vertex, √(cost ÷ area), in the frame's units; infinite for none.
     pub max_error: f64,
-    /// Weight of border edges against area: a border edge's squared length times this is the weight of the squared distance
-    /// to its line. 0 lets borders shrink, 10 costs 45 % of E_avg on the bunny.
-    pub boundary_weight: f64,
+    /// How it is steered.
+    pub policies: Policies,
     /// Whether to keep the mesh as it was at ten times the target, and what became of it.
     pub keep_reference: bool,
+}
+
+impl Options {
+    /// To that many faces, by the default policies.
+    pub fn to(target: usize) -> Self {
+        Options { target, max_error: f64::INFINITY, policies: Policies::default(), keep_reference: false }
+    }
 }
 
 /// The reduced mesh and what happened.
@@ -153,7 +163,9 @@ pub fn collapse<S: Coordinate>(
     }
     let mut folded = false;
     if surface.faces.len() > options.target && options.max_error == f64::INFINITY {
-        surface.renew_current(options);
+        if options.policies.quadrics == Quadrics::Current {
+            surface.renew_current(options);
+        }
         let end = tail::finish(&mut surface, options, reference.as_mut(), progress)?;
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
@@ -224,13 +236,16 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             return Ok(None);
         }
         let within = |factor: usize| before / factor <= self.options.target;
-        let near = self.paired || within(LAST_FACTOR);
+        let last = self.paired || within(LAST_FACTOR);
+        let near = last || self.options.policies.by_pairs();
         let most = (before - self.floor).div_ceil(2);
         if near {
-            if self.options.keep_reference && self.reference.is_none() {
+            if last && self.options.keep_reference && self.reference.is_none() {
                 self.reference = Some(surface.reference());
             }
-            surface.renew_current(self.options);
+            if self.options.policies.quadrics == Quadrics::Current {
+                surface.renew_current(self.options);
+            }
             surface.evaluate(self.options, |marks| marks & TOUCHED != 0);
             let wanted = most.min((PAIRS_SHARE * surface.positions.len() as f64) as usize).max(1);
             let limit = limit(surface.costs.as_flattened(), (PAIRS_SLACK * wanted as f64) as u64);
@@ -239,7 +254,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             groups::select(&mut self.batch, surface, if within(FAR_FACTOR) { MIDDLE } else { FAR });
         }
         let mut leaders = self.batch.all_leaders();
-        self.hold_back(&mut leaders, surface, most);
+        self.hold_back(&mut leaders, surface, most, near);
         if leaders.is_empty() && near {
             return Ok(None);
         }
@@ -256,16 +271,16 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
     }
 
     /// Keeps only the cheapest groups of the batch, so that at most `most` vertices go.
-    fn hold_back(&mut self, leaders: &mut Vec<u32>, surface: &Surface<S>, most: usize) {
+    fn hold_back(&mut self, leaders: &mut Vec<u32>, surface: &Surface<S>, most: usize, near: bool) {
         if self.batch.moving() - leaders.len() <= most {
             return;
         }
         let batch = &self.batch;
         let key = |members: &mut Vec<u32>, &v: &u32| {
             batch.members(v, members);
-            let cost = match surface.current.is_empty() {
-                true => surface.merged(members, widen(batch.spots[v as usize])).c,
-                false => f64::from(surface.cost(&surface.stars, v, members[1], self.options)),
+            let cost = match near {
+                false => surface.merged(members, widen(batch.spots[v as usize])).c,
+                true => f64::from(surface.cost(&surface.stars, v, members[1], self.options)),
             };
             ((cost as f32).to_bits(), order(v, v), members.len() - 1)
         };

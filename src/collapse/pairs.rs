@@ -79,7 +79,7 @@ fn take<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, options: &Opt
                     return (taken, refused);
                 }
                 let candidate = surface.candidate(&surface.stars, v, u, options);
-                *spot = surface.spot(v, u, candidate.step);
+                *spot = surface.spot(v, u, candidate.step, options);
                 let admitted = admissible(surface, v, u, *spot, options);
                 for x in [v, u] {
                     if admitted {

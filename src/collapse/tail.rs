@@ -165,7 +165,7 @@ impl<S: Coordinate> Tail<'_, S> {
     fn collapse(&mut self, a: u32, b: u32, may_fold: bool) -> bool {
         let s = &*self.surface;
         let candidate = s.candidate(&self.overlay, a, b, self.options);
-        let spot = s.spot(a, b, candidate.step);
+        let spot = s.spot(a, b, candidate.step, self.options);
         let merged = s.merged(&[a, b], widen(spot));
         let error_sq = if merged.w > 0.0 { merged.c / merged.w } else { 0.0 };
         if !may_fold && s.folds(&self.overlay, a, b, spot) {
@@ -225,7 +225,8 @@ impl<S: Coordinate> Tail<'_, S> {
         }
         ring.sort_unstable();
         ring.dedup();
-        for &u in ring.iter().chain([&v]) {
+        let kept = !self.surface.current.is_empty();
+        for &u in ring.iter().chain([&v]).filter(|_| kept) {
             let form = self.surface.form_around(&self.overlay, u, self.options);
             self.surface.current[u as usize] = form.a.map(|x| x as f32);
         }

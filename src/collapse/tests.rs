@@ -6,7 +6,7 @@ use glam::DVec3;
 use std::collections::HashMap;
 
 fn options(target: usize) -> Options {
-    Options { target, max_error: f64::INFINITY, boundary_weight: 1.0, keep_reference: false }
+    Options::to(target)
 }
 
 fn reduce(mesh: &IndexedMesh<f32>, target: usize) -> Collapsed<f32> {
@@ -215,7 +215,7 @@ fn threads_change_nothing() {
 fn an_error_bound_ends_the_collapse() {
     let scan = sphere(40, 0.0);
     let bounded = |max_error: f64| {
-        let options = Options { target: 0, max_error, boundary_weight: 1.0, keep_reference: false };
+        let options = Options { max_error, ..options(0) };
         collapse(scan.clone(), None, &options, &Progress::default()).unwrap()
     };
     let (fine, coarse) = (bounded(1e-4), bounded(1e-2));
@@ -271,4 +271,59 @@ fn a_speck_far_away_is_kept_and_one_close_by_goes() {
         assert_eq!((mesh.faces.len(), beyond(0.9)), (target, 4), "at {target}");
     }
     assert!(reduce(&scan, 0).mesh.faces.is_empty());
+}
+
+/// Policies other than the default: for each, what holds of all must hold.
+fn policies() -> Vec<Policies> {
+    let usual = Policies::default();
+    vec![
+        Policies { quadrics: Quadrics::Accumulated, ..usual },
+        Policies { placement: Placement::Line, ..usual },
+        Policies { placement: Placement::EndpointOrMidpoint, quadrics: Quadrics::Accumulated, ..usual },
+        Policies { placement: Placement::Endpoint, ..usual },
+        Policies { weighting: Weighting::Angle, ..usual },
+        Policies { weighting: Weighting::Uniform, boundary_weight: 2.0, ..usual },
+    ]
+}
+
+fn reduce_by(mesh: &IndexedMesh<f32>, target: usize, policies: Policies) -> Collapsed<f32> {
+    collapse(mesh.clone(), None, &Options { policies, ..options(target) }, &Progress::default()).unwrap()
+}
+
+#[test]
+fn every_policy_is_the_same_by_any_threads_and_at_any_scale() {
+    let scan = sphere(30, 0.004);
+    for policies in policies() {
+        let run = |threads: usize, factor: f32| {
+            let mut scan = scan.clone();
+            scan.positions.iter_mut().flatten().for_each(|x| *x *= factor);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut result = pool.install(|| reduce_by(&scan, 900, policies));
+            result.mesh.positions.iter_mut().flatten().for_each(|x| *x /= factor);
+            result.mesh
+        };
+        let one = run(1, 1.0);
+        assert_eq!(one.faces.len(), 900, "{policies:?}");
+        assert!(one.positions.iter().all(|p| (widen(*p).length() - 0.4).abs() < 0.02), "{policies:?}");
+        assert!(edges(&one).values().all(|&e| e == (1, 1)), "{policies:?}");
+        for threads in [2, 5] {
+            assert!(run(threads, 1.0) == one, "{threads} threads: {policies:?}");
+        }
+        assert!(run(1, 0.5) == one, "half the size: {policies:?}");
+    }
+}
+
+#[test]
+fn every_policy_takes_what_is_not_manifold() {
+    for policies in policies() {
+        let result = reduce_by(&messy(), 200, policies);
+        assert!((198..=200).contains(&result.mesh.faces.len()), "{}: {policies:?}", result.mesh.faces.len());
+    }
+}
+
+#[test]
+fn endpoints_are_vertices_of_the_scan() {
+    let scan = sphere(20, 0.01);
+    let result = reduce_by(&scan, 300, Policies { placement: Placement::Endpoint, ..Default::default() });
+    assert!(result.mesh.positions.iter().all(|p| scan.positions.contains(p)));
 }

@@ -15,6 +15,7 @@
 //! representative = "quadric"
 //!
 //! [collapse]
+//! quadrics = "current"      # the policies: all keys are in `CollapseTable`
 //! boundary_weight = 1.0
 //!
 //! [refit]
@@ -32,6 +33,7 @@ use super::Target;
 use super::quantity::{Count, Length, Ratio, Rounds, Threads, Weight, as_written, write_size};
 use crate::budget::Size;
 use crate::cluster::Representative;
+use crate::collapse::{Placement, Quadrics, Weighting};
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.
@@ -106,6 +108,15 @@ pub struct ClusterTable {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CollapseTable {
+    /// Which quadrics place and price.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quadrics: Option<Quadrics>,
+    /// Where merged vertices go.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub placement: Option<Placement>,
+    /// How much each face's plane counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weighting: Option<Weighting>,
     /// Weight of the constraint that holds open borders in place, as a factor of the squared edge length.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub boundary_weight: Option<Weight>,
@@ -134,7 +145,7 @@ const KEYS: [(&str, &[&str]); 6] = [
     ("scan", &["input", "output", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch"]),
     ("cluster", &["representative"]),
-    ("collapse", &["boundary_weight"]),
+    ("collapse", &["quadrics", "placement", "weighting", "boundary_weight"]),
     ("refit", &["rounds"]),
     ("report", &["json"]),
 ];
@@ -213,7 +224,8 @@ fn hint(message: &str) -> Option<String> {
     let mut words = message.split('`').skip(1).step_by(2);
     let wrong = words.next()?;
     let near = |word: &&str| strsim::damerau_levenshtein(wrong, word);
-    if let Some((table, _)) = KEYS.iter().find(|(_, keys)| keys.contains(&wrong)) {
+    let table = KEYS.iter().find(|(_, keys)| message.starts_with("unknown field") && keys.contains(&wrong));
+    if let Some((table, _)) = table {
         return Some(format!("`{wrong}` belongs under [{table}]"));
     }
     let best = words.min_by_key(near).filter(|word| near(word) <= 1 + word.len() / 4);
