@@ -31,6 +31,7 @@ impl Row<'_> {
             representative: Representative::Quadric,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
             policies: Default::default(),
+            lock_vertices: None,
         };
         reduce(&job, &Progress::default()).unwrap()
     }

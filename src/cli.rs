@@ -4,9 +4,10 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
-use meshmill::collapse::{Placement, Quadrics, Weighting};
+use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use meshmill::job::{
-    CollapseTable, Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
+    CollapseTable, Compactness, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable, ReportTable, Rounds,
+    RunTable, ScanTable, Threads, Weight,
 };
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
@@ -109,6 +110,42 @@ struct CollapseArgs {
     /// How strongly open borders are held in place [default: 1]
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     boundary_weight: Option<Weight>,
+
+    /// Vertices on borders stay where they are
+    #[arg(long)]
+    lock_border: bool,
+
+    /// The vertices nearest to the points in this file stay where they are: x y z a line
+    #[arg(long, value_name = "FILE")]
+    lock_vertices: Option<PathBuf>,
+
+    /// Hold edges whose faces' normals are this many degrees apart or more
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
+    feature_angle: Option<Degrees>,
+
+    /// How strongly such edges are held [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true, requires = "feature_angle")]
+    feature_weight: Option<Weight>,
+
+    /// Drop pieces of fewer faces than this, or of less area: 100 or area=0.5 (in the scan's units, squared)
+    #[arg(long, value_name = "FACES|AREA", allow_negative_numbers = true)]
+    min_component: Option<MinComponent>,
+
+    /// What tells that a face would fold over: normals, planes, both or off [default: normals]
+    #[arg(long, value_name = "WHICH", value_parser = word::<FoldCheck>)]
+    fold_check: Option<FoldCheck>,
+
+    /// Avoid faces less compact than this, from 0 (any) to 1 (equilateral only) [default: 0]
+    #[arg(long, value_name = "C", allow_negative_numbers = true)]
+    compactness: Option<Compactness>,
+
+    /// Avoid vertices of more than 8 faces: 0 for not, 1 for clearly [default: 0]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    valence_penalty: Option<Weight>,
+
+    /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
+    #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
+    topology: Option<Topology>,
 }
 
 /// One of the words that a job file takes.
@@ -173,6 +210,15 @@ impl From<CollapseArgs> for CollapseTable {
             placement: args.placement,
             weighting: args.weighting,
             boundary_weight: args.boundary_weight,
+            lock_border: args.lock_border.then_some(true),
+            lock_vertices: args.lock_vertices,
+            feature_angle: args.feature_angle,
+            feature_weight: args.feature_weight,
+            min_component: args.min_component,
+            fold_check: args.fold_check,
+            compactness: args.compactness,
+            valence_penalty: args.valence_penalty,
+            topology: args.topology,
         }
     }
 }

@@ -30,10 +30,13 @@
 //! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (137 in doubles); compaction is in place.
 
 mod batch;
+mod check;
 mod classify;
 mod commit;
 mod groups;
+mod hold;
 mod pairs;
+mod penalty;
 mod pieces;
 mod place;
 mod policy;
@@ -42,7 +45,8 @@ mod tail;
 mod weigh;
 
 pub use classify::Irregularities;
-pub use policy::{Placement, Policies, Quadrics, Weighting};
+pub use pieces::Dropped;
+pub use policy::{Features, FoldCheck, Least, Placement, Policies, Quadrics, Topology, Weighting};
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
@@ -50,6 +54,7 @@ use crate::mesh::{Coordinate, IndexedMesh, Reference, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use batch::{Batch, order};
+use glam::DVec3;
 use pieces::Pieces;
 use rayon::prelude::*;
 use std::sync::atomic::AtomicU8;
@@ -57,21 +62,23 @@ use surface::{REFUSED, Surface, TOUCHED};
 
 /// What steers the collapse.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct Options<'a> {
     /// Faces to end with, at most.
     pub target: usize,
     /// Largest error of a merged vertex, √(cost ÷ area), in the frame's units; infinite for none.
     pub max_error: f64,
     /// How it is steered.
     pub policies: Policies,
+    /// The vertices nearest to these points stay where they are.
+    pub locked: &'a [DVec3],
     /// Whether to keep the mesh as it was at ten times the target, and what became of it.
     pub keep_reference: bool,
 }
 
-impl Options {
+impl Options<'_> {
     /// To that many faces, by the default policies.
     pub fn to(target: usize) -> Self {
-        Options { target, max_error: f64::INFINITY, policies: Policies::default(), keep_reference: false }
+        Options { target, max_error: f64::INFINITY, policies: Policies::default(), locked: &[], keep_reference: false }
     }
 }
 
@@ -91,6 +98,10 @@ pub struct Collapsed<S> {
     pub rounds: u32,
     /// Whether faces had to be folded over to reach the count.
     pub folded: bool,
+    /// Pieces that were too small and went before anything else.
+    pub dropped: Dropped,
+    /// Vertices of the result that are locked.
+    pub locked: Vec<u32>,
 }
 
 /// From how many times the target on the current faces choose, and learnt quadrics advise. On a noisy scan of 1.2 M faces
@@ -143,11 +154,13 @@ pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
 /// Collapses `mesh` to at most `options.target` faces. `learnt` are the quadrics that its vertices carry, about their
 /// positions; without them, those of its faces. Ends above the target only where `options.max_error` forbids the rest.
 pub fn collapse<S: Coordinate>(
-    mesh: IndexedMesh<S>,
-    learnt: Option<Vec<PackedQuadric>>,
+    mut mesh: IndexedMesh<S>,
+    mut learnt: Option<Vec<PackedQuadric>>,
     options: &Options,
     progress: &Progress,
 ) -> Result<Collapsed<S>> {
+    let least = options.policies.min_component;
+    let dropped = least.map_or(Dropped::default(), |least| pieces::drop_small(&mut mesh, &mut learnt, least));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
     let (mut surface, irregularities) = prepare(mesh, learnt, options);
     let mut error_sq = largest_error_sq(&surface.learnt);
@@ -170,8 +183,13 @@ pub fn collapse<S: Coordinate>(
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
     }
+    let locked = match options.locks() {
+        true => (0..surface.positions.len() as u32).filter(|&v| surface.locked(v)).collect(),
+        false => Vec::new(),
+    };
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
-    Ok(Collapsed { mesh, error_estimate: error_sq.sqrt(), irregularities, reference, rounds: count, folded })
+    let error_estimate = error_sq.sqrt();
+    Ok(Collapsed { mesh, error_estimate, irregularities, reference, rounds: count, folded, dropped, locked })
 }
 
 /// Lays out the arrays, classifies, and learns the faces' quadrics where none are carried.
@@ -194,6 +212,7 @@ fn prepare<S: Coordinate>(
         stars,
     };
     let irregularities = classify::classify(&surface);
+    surface.mark_held(options);
     surface.find_pieces();
     if surface.learnt.is_empty() {
         surface.learn(options);
@@ -209,7 +228,7 @@ fn largest_error_sq(learnt: &[PackedQuadric]) -> f64 {
 
 /// The rounds of batches, and what they keep from one to the next.
 struct Rounds<'a, S> {
-    options: &'a Options,
+    options: &'a Options<'a>,
     batch: Batch<S>,
     /// Faces at which the rounds end.
     floor: usize,
@@ -221,7 +240,7 @@ struct Rounds<'a, S> {
 }
 
 impl<'a, S: Coordinate> Rounds<'a, S> {
-    fn new(options: &'a Options) -> Self {
+    fn new(options: &'a Options<'a>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
         let tail = TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize);
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
@@ -237,7 +256,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         }
         let within = |factor: usize| before / factor <= self.options.target;
         let last = self.paired || within(LAST_FACTOR);
-        let near = last || self.options.policies.by_pairs();
+        let near = last || self.options.policies.by_pairs() || self.options.locks();
         let most = (before - self.floor).div_ceil(2);
         if near {
             if last && self.options.keep_reference && self.reference.is_none() {

@@ -1,7 +1,7 @@
 //! The mesh while it is collapsed: its arrays, and what is asked of them at one edge.
 
 use super::pieces::Pieces;
-use super::policy::{Placement, Quadrics, Weighting};
+use super::policy::{FoldCheck, Placement, Quadrics, Weighting};
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
@@ -35,6 +35,12 @@ pub(super) struct Surface<S> {
 pub(super) const ODD: u8 = 1;
 /// A face at the vertex was changed by the last round.
 pub(super) const TOUCHED: u8 = 2;
+/// The vertex stays where it is.
+pub(super) const LOCKED: u8 = 8;
+/// The vertex was on a feature edge.
+pub(super) const FEATURE: u8 = 16;
+/// Marks that a merged vertex has from those it stands for.
+pub(super) const KEPT: u8 = ODD | LOCKED | FEATURE;
 
 /// Where corners of a vertex are looked up: the round's stars, or the tail's.
 pub(super) trait Around {
@@ -80,7 +86,7 @@ impl<S: Coordinate> Surface<S> {
     }
 
     #[inline(always)]
-    fn mark(&self, v: u32) -> u8 {
+    pub fn mark(&self, v: u32) -> u8 {
         self.marks[v as usize].load(Relaxed)
     }
 
@@ -109,12 +115,29 @@ impl<S: Coordinate> Surface<S> {
         let half = 0.5 * (pb - pa);
         let policies = &options.policies;
         let learnt = self.learnt_form(a, b, half);
-        if policies.quadrics == Quadrics::Accumulated {
-            return policies.placement.on_edge(&learnt, half);
+        let mut candidate = match policies.quadrics {
+            Quadrics::Accumulated => self.place(a, b, &learnt, half, options),
+            Quadrics::Current => {
+                let mut candidate = self.place(a, b, &self.current_form(around, a, b, half, options), half, options);
+                candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
+                candidate
+            }
+        };
+        if policies.penalises() {
+            candidate.cost += self.penalty(around, a, b, pa + half + candidate.step, policies);
         }
-        let mut candidate = policies.placement.on_edge(&self.current_form(around, a, b, half, options), half);
-        candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
         candidate
+    }
+
+    /// The best place for the vertex that `a` and `b` become: where a locked one is.
+    #[inline(always)]
+    fn place(&self, a: u32, b: u32, q: &Quadric, half: DVec3, options: &Options) -> Candidate {
+        if options.locks() && (self.locked(a) || self.locked(b)) {
+            let step = if self.locked(a) { -half } else { half };
+            let both = self.locked(a) && self.locked(b);
+            return Candidate { step, cost: if both { f64::INFINITY } else { q.value(step) } };
+        }
+        options.policies.placement.on_edge(q, half)
     }
 
     /// The sum of what both ends have learnt, about the middle of the edge.
@@ -152,6 +175,9 @@ impl<S: Coordinate> Surface<S> {
         if faces == 1 {
             subtract(&mut q, &options.policies.border_line(2.0 * half));
         }
+        if let Some(features) = options.policies.features {
+            subtract(&mut q, &self.feature(around, a, b, features).unwrap_or_default());
+        }
         q
     }
 
@@ -168,6 +194,9 @@ impl<S: Coordinate> Surface<S> {
                 Weighting::Area => plane,
                 _ => scaled(&plane, self.share(corner >> 2, v, options)),
             };
+        }
+        if let Some(features) = options.policies.features {
+            q += self.features_at(around, v, features);
         }
         if self.odd(v) { q + self.borders_at(around, v, options) } else { q }
     }
@@ -196,7 +225,7 @@ impl<S: Coordinate> Surface<S> {
     /// Learns the planes of the faces and the borders. Each face's plane is worked out once, as the vector whose product
     /// with itself is its quadric.
     pub fn learn(&mut self, options: &Options) {
-        if options.policies.weighting != Weighting::Area {
+        if options.policies.weighting != Weighting::Area || options.policies.features.is_some() {
             let this = &*self;
             let form = |v: u32| this.form_around(&this.stars, v, options).pack();
             self.learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(form).collect();
@@ -248,7 +277,7 @@ impl<S: Coordinate> Surface<S> {
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.
-    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: [S; 3]) -> bool {
+    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: [S; 3], check: FoldCheck) -> bool {
         let folds_at = |v: u32, other: u32| {
             let at = self.positions[v as usize];
             around.of(v).iter().any(|&corner| {
@@ -257,7 +286,7 @@ impl<S: Coordinate> Surface<S> {
                     return false;
                 }
                 let (p, q) = (self.positions[p as usize], self.positions[q as usize]);
-                turned(step(at, p).cross(step(at, q)), step(x, p).cross(step(x, q)))
+                check.refuses(at, x, p, q)
             })
         };
         folds_at(a, b) || folds_at(b, a)
@@ -331,6 +360,9 @@ impl<S: Coordinate> Surface<S> {
 
     /// Where a merged vertex goes, as it will be stored: at an end exactly where that is the policy.
     pub fn spot(&self, a: u32, b: u32, step: DVec3, options: &Options) -> [S; 3] {
+        if options.locks() && (self.locked(a) || self.locked(b)) {
+            return self.positions[if self.locked(a) { a } else { b } as usize];
+        }
         if options.policies.placement == Placement::Endpoint {
             return self.positions[if step.dot(self.at(b) - self.at(a)) > 0.0 { b } else { a } as usize];
         }

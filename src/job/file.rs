@@ -30,10 +30,12 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::Target;
-use super::quantity::{Count, Length, Ratio, Rounds, Threads, Weight, as_written, write_size};
+use super::quantity::{
+    Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight, as_written, write_size,
+};
 use crate::budget::Size;
 use crate::cluster::Representative;
-use crate::collapse::{Placement, Quadrics, Weighting};
+use crate::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.
@@ -120,6 +122,33 @@ pub struct CollapseTable {
     /// Weight of the constraint that holds open borders in place, as a factor of the squared edge length.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub boundary_weight: Option<Weight>,
+    /// Whether vertices on borders stay where they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lock_border: Option<bool>,
+    /// A list of points: the vertices nearest to them stay where they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lock_vertices: Option<PathBuf>,
+    /// Angle between the normals of an edge's faces from which on the edge is held.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub feature_angle: Option<Degrees>,
+    /// How strongly such edges are held.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub feature_weight: Option<Weight>,
+    /// Pieces smaller than this are dropped.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub min_component: Option<MinComponent>,
+    /// What tells that a face would fold over.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fold_check: Option<FoldCheck>,
+    /// Compactness below which faces are penalised.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub compactness: Option<Compactness>,
+    /// Penalty on vertices of many faces.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub valence_penalty: Option<Weight>,
+    /// Whether holes may close, handles vanish, pieces go.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topology: Option<Topology>,
 }
 
 /// `[refit]`
@@ -145,7 +174,24 @@ const KEYS: [(&str, &[&str]); 6] = [
     ("scan", &["input", "output", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch"]),
     ("cluster", &["representative"]),
-    ("collapse", &["quadrics", "placement", "weighting", "boundary_weight"]),
+    (
+        "collapse",
+        &[
+            "quadrics",
+            "placement",
+            "weighting",
+            "boundary_weight",
+            "lock_border",
+            "lock_vertices",
+            "feature_angle",
+            "feature_weight",
+            "min_component",
+            "fold_check",
+            "compactness",
+            "valence_penalty",
+            "topology",
+        ],
+    ),
     ("refit", &["rounds"]),
     ("report", &["json"]),
 ];
@@ -183,9 +229,15 @@ impl JobFile {
         })
     }
 
+    /// Every key, whatever its table.
+    pub fn keys() -> impl Iterator<Item = &'static str> {
+        KEYS.iter().flat_map(|(_, keys)| keys.iter().copied())
+    }
+
     /// Rewrites every path.
     pub fn move_paths(&mut self, to: impl Fn(&Path) -> PathBuf) {
-        for path in [&mut self.scan.input, &mut self.scan.output].into_iter().chain(&mut self.run.scratch) {
+        let files = [&mut self.scan.input, &mut self.scan.output].into_iter();
+        for path in files.chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
             *path = to(path);
         }
     }

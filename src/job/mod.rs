@@ -1,21 +1,26 @@
 //! A job: what was said ([`JobFile`], from a file or the command line) and what will be done ([`Job`], resolved).
 
 mod file;
+mod points;
 mod quantity;
 
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
-pub use quantity::{Count, Length, Ratio, Rounds, Threads, Weight};
+pub use points::read_points;
+pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
-use crate::collapse::{Placement, Policies};
+use crate::collapse::{Features, Placement, Policies};
 use crate::error::{Error, Result};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
 pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
+
+/// How strongly feature edges are held when nothing is said.
+pub const DEFAULT_FEATURE_WEIGHT: f64 = 1.0;
 
 /// Rounds of refit when nothing is said: the first one gives most, and takes about a tenth of the time.
 pub const DEFAULT_REFIT_ROUNDS: u32 = 1;
@@ -75,6 +80,8 @@ pub struct Job {
     pub representative: Representative,
     /// How the collapse is steered; lengths are in the scan's units.
     pub policies: Policies,
+    /// A list of points: the vertices nearest to them stay where they are.
+    pub lock_vertices: Option<PathBuf>,
     /// Rounds of refit.
     pub refit_rounds: u32,
 }
@@ -101,6 +108,7 @@ impl JobFile {
             scratch: self.run.scratch,
             representative: self.cluster.representative.unwrap_or_default(),
             policies,
+            lock_vertices: self.collapse.lock_vertices,
             refit_rounds,
         })
     }
@@ -115,6 +123,16 @@ impl CollapseTable {
             placement: self.placement.unwrap_or(usual.placement),
             weighting: self.weighting.unwrap_or(usual.weighting),
             boundary_weight: self.boundary_weight.map_or(usual.boundary_weight, |Weight(w)| w),
+            lock_border: self.lock_border.unwrap_or(usual.lock_border),
+            features: self.feature_angle.map(|Degrees(angle)| {
+                let weight = self.feature_weight.map_or(DEFAULT_FEATURE_WEIGHT, |Weight(w)| w);
+                Features { angle, weight }
+            }),
+            min_component: self.min_component.map(|MinComponent(least)| least),
+            fold_check: self.fold_check.unwrap_or(usual.fold_check),
+            compactness: self.compactness.map_or(usual.compactness, |Compactness(c)| c),
+            valence_penalty: self.valence_penalty.map_or(usual.valence_penalty, |Weight(w)| w),
+            topology: self.topology.unwrap_or(usual.topology),
         }
     }
 }
@@ -126,6 +144,15 @@ impl From<Policies> for CollapseTable {
             placement: Some(policies.placement),
             weighting: Some(policies.weighting),
             boundary_weight: Some(Weight(policies.boundary_weight)),
+            lock_border: Some(policies.lock_border),
+            lock_vertices: None,
+            feature_angle: policies.features.map(|features| Degrees(features.angle)),
+            feature_weight: policies.features.map(|features| Weight(features.weight)),
+            min_component: policies.min_component.map(MinComponent),
+            fold_check: Some(policies.fold_check),
+            compactness: Some(Compactness(policies.compactness)),
+            valence_penalty: Some(Weight(policies.valence_penalty)),
+            topology: Some(policies.topology),
         }
     }
 }
@@ -161,7 +188,7 @@ impl Job {
                 scratch: Some(self.scratch_folder().into()),
             },
             cluster: ClusterTable { representative: Some(self.representative) },
-            collapse: self.policies.into(),
+            collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },
             refit: RefitTable { rounds: Some(Rounds(self.refit_rounds)) },
             report: ReportTable::default(),
         }
@@ -189,7 +216,9 @@ mod tests {
     fn what_is_said_is_kept() {
         let job = job("ratio = '10%'\n[run]\nmemory = '1.5GiB'\nthreads = 3\nscratch = 's'\n[cluster]\n\
                        representative = 'mean'\n[collapse]\nboundary_weight = 4\nquadrics = 'accumulated'\n\
-                       placement = 'endpoint-or-midpoint'\nweighting = 'angle'\n[refit]\nrounds = 0");
+                       placement = 'endpoint-or-midpoint'\nweighting = 'angle'\nlock_border = true\n\
+                       lock_vertices = 'horns.txt'\nfeature_angle = 40\nmin_component = 'area=0.5'\nfold_check = 'both'\n\
+                       compactness = 0.2\nvalence_penalty = 1\ntopology = 'preserve'\n[refit]\nrounds = 0");
         assert_eq!((job.target, job.memory, job.threads), (Target::Ratio(0.1), Size(3 << 29), 3));
         assert_eq!((job.scratch_folder(), job.policies.boundary_weight), (Path::new("s"), 4.0));
         assert_eq!(job.policies.placement, Placement::EndpointOrMidpoint);
