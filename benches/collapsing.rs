@@ -9,8 +9,7 @@ use meshmill::progress::Progress;
 use scan::{Files, group, loaded, on_threads, open};
 
 fn to(mesh: IndexedMesh<f32>, target: usize) -> Collapsed<f32> {
-    let options = Options { target, max_error: f64::INFINITY, boundary_weight: 1.0, keep_reference: false };
-    collapse(mesh, None, &options, &Progress::default()).unwrap()
+    collapse(mesh, None, &Options::to(target), &Progress::default()).unwrap()
 }
 
 fn collapsing(criterion: &mut Criterion) {

@@ -59,7 +59,8 @@ fn reduced(files: &Files) -> Scan {
         threads: 2,
         scratch: None,
         representative: Representative::Quadric,
-        boundary_weight: 1.0,
+        policies: Default::default(),
+        lock_vertices: None,
         refit_rounds: 1,
         verify: false,
     };

@@ -30,7 +30,8 @@ impl Row<'_> {
             scratch: None,
             representative: Representative::Quadric,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
-            boundary_weight: 1.0,
+            policies: Default::default(),
+            lock_vertices: None,
             verify: false,
         };
         reduce(&job, &Progress::default()).unwrap()

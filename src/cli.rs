@@ -4,9 +4,13 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
+use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use meshmill::job::{
-    ComparisonSaid, Count, JobFile, Length, Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads,
+    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable,
+    ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
 };
+use serde::Deserialize;
+use serde::de::value::{Error as WordError, StrDeserializer};
 
 /// Reduces huge meshes to the face count you ask for, in fixed memory
 #[derive(Debug, Parser)]
@@ -56,6 +60,9 @@ pub struct ReduceArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     refit: Option<Rounds>,
 
+    #[command(flatten)]
+    collapse: CollapseArgs,
+
     /// Worker threads; the result does not depend on them [default: the cores]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     threads: Option<Threads>,
@@ -89,6 +96,68 @@ struct TargetArgs {
     /// As few faces as keep this distance, in the scan's units, as estimated
     #[arg(long, value_name = "LENGTH", allow_negative_numbers = true)]
     max_error: Option<Length>,
+}
+
+/// The policies of the collapse.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Policies")]
+struct CollapseArgs {
+    /// Quadrics that place and price: current or accumulated (the thesis's) [default: current]
+    #[arg(long, value_name = "WHICH", value_parser = word::<Quadrics>)]
+    quadrics: Option<Quadrics>,
+
+    /// Where merged vertices go: optimal, line, endpoint-or-midpoint or endpoint [default: optimal]
+    #[arg(long, value_name = "WHERE", value_parser = word::<Placement>)]
+    placement: Option<Placement>,
+
+    /// What faces count by: area, angle or uniform [default: area]
+    #[arg(long, value_name = "HOW", value_parser = word::<Weighting>)]
+    weighting: Option<Weighting>,
+
+    /// How strongly open borders are held in place [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    boundary_weight: Option<Weight>,
+
+    /// Vertices on borders stay where they are
+    #[arg(long)]
+    lock_border: bool,
+
+    /// The vertices nearest to the points in this file stay where they are: x y z a line
+    #[arg(long, value_name = "FILE")]
+    lock_vertices: Option<PathBuf>,
+
+    /// Hold edges whose faces' normals are this many degrees apart or more
+    #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
+    feature_angle: Option<Degrees>,
+
+    /// How strongly such edges are held [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true, requires = "feature_angle")]
+    feature_weight: Option<Weight>,
+
+    /// Drop pieces of fewer faces than this, or of less area: 100 or area=0.5 (in the scan's units, squared)
+    #[arg(long, value_name = "FACES|AREA", allow_negative_numbers = true)]
+    min_component: Option<MinComponent>,
+
+    /// What tells that a face would fold over: normals, planes, both or off [default: normals]
+    #[arg(long, value_name = "WHICH", value_parser = word::<FoldCheck>)]
+    fold_check: Option<FoldCheck>,
+
+    /// Avoid faces less compact than this, from 0 (any) to 1 (equilateral only) [default: 0]
+    #[arg(long, value_name = "C", allow_negative_numbers = true)]
+    compactness: Option<Compactness>,
+
+    /// Avoid vertices of more than 8 faces: 0 for not, 1 for clearly [default: 0]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    valence_penalty: Option<Weight>,
+
+    /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
+    #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
+    topology: Option<Topology>,
+}
+
+/// One of the words that a job file takes.
+fn word<T: for<'de> Deserialize<'de>>(text: &str) -> Result<T, WordError> {
+    T::deserialize(StrDeserializer::new(text))
 }
 
 /// `meshmill run`
@@ -184,9 +253,30 @@ impl From<ReduceArgs> for JobFile {
         JobFile {
             scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
             run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
+            collapse: args.collapse.into(),
             refit: RefitTable { rounds: args.refit },
             report: ReportTable { json: Some(args.json), verify: Some(args.verify) },
             ..Default::default()
+        }
+    }
+}
+
+impl From<CollapseArgs> for CollapseTable {
+    fn from(args: CollapseArgs) -> Self {
+        CollapseTable {
+            quadrics: args.quadrics,
+            placement: args.placement,
+            weighting: args.weighting,
+            boundary_weight: args.boundary_weight,
+            lock_border: args.lock_border.then_some(true),
+            lock_vertices: args.lock_vertices,
+            feature_angle: args.feature_angle,
+            feature_weight: args.feature_weight,
+            min_component: args.min_component,
+            fold_check: args.fold_check,
+            compactness: args.compactness,
+            valence_penalty: args.valence_penalty,
+            topology: args.topology,
         }
     }
 }

@@ -7,7 +7,7 @@ pub use compare::compare;
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
-use crate::job::{Job, Target};
+use crate::job::{Job, Target, read_points};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::plan::{Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
@@ -17,6 +17,7 @@ use crate::refit::{self, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
+use glam::DVec3;
 use std::time::Instant;
 
 /// Reduces one scan as `job` says, and reports.
@@ -29,7 +30,8 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
         let scan = Scan::open(&job.input, progress)?;
         let asked = job.target.faces(scan.triangle_count());
         let purse = Purse::new(job.memory.0, threads, asked, job.refit_rounds > 0);
-        let run = Run { job, threads, progress, scan: &scan, purse, begun };
+        let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
+        let run = Run { job, threads, progress, scan: &scan, purse, begun, locked };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
@@ -54,6 +56,8 @@ struct Run<'a> {
     scan: &'a Scan,
     purse: Purse,
     begun: Instant,
+    /// Points in the scan's units: the vertices nearest to them stay.
+    locked: Vec<DVec3>,
 }
 
 /// What goes into the collapse.
@@ -85,16 +89,25 @@ impl Run<'_> {
             Source::Clustered(_) => (seconds.read, seconds.cluster) = (opened, clock.lap()),
         }
         let faces = mesh.faces.len();
-        let Collapsed { mut mesh, error_estimate, irregularities, reference, .. } =
-            collapse(mesh, quadrics, &self.collapse_options(asked, faces, frame), self.progress)?;
+        let points: Vec<DVec3> = self.locked.iter().map(|p| p.map(|x| frame.to_frame(x))).collect();
+        let options = self.collapse_options(asked, faces, frame, &points);
+        let Collapsed { mut mesh, error_estimate, irregularities, reference, dropped, locked, .. } =
+            collapse(mesh, quadrics, &options, self.progress)?;
+        if dropped.faces == faces as u64 {
+            let what = "every piece is smaller than the least component asked for".into();
+            return Err(Error::Unmet { file: self.job.input.clone(), what });
+        }
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse = clock.lap();
         if let Some(reference) = reference {
-            refit(&mut mesh, &reference, self.job.refit_rounds, self.progress)?;
+            refit(&mut mesh, &reference, self.job.refit_rounds, &locked, self.progress)?;
         }
         seconds.refit = clock.lap();
 
         let mut warnings = self.warnings(asked, &source, faces);
+        if dropped.pieces > 0 {
+            warnings.push(Warning::SmallPieces { pieces: dropped.pieces, faces: dropped.faces });
+        }
         // What is irregular in the mesh that clustering made says nothing of the scan.
         if matches!(source, Source::Loaded(_)) {
             warnings.extend(irregular(&irregularities));
@@ -151,6 +164,12 @@ impl Run<'_> {
                 return Ok(Intermediate { mesh, frame, quadrics: None, source: Source::Loaded(report) });
             }
         }
+        let locks = self.job.lock_vertices.as_ref().map(|_| "locking vertices");
+        if let Some(policy) = self.job.policies.needs_the_scan().or(locks) {
+            let path = self.scan.path().display();
+            let what = format!("{path}: {policy} cannot be kept where the scan has to be clustered first");
+            return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
+        }
         let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
         self.clustered(asked, wanted, most)
     }
@@ -170,7 +189,7 @@ impl Run<'_> {
                 cells,
                 raw_faces,
                 spill_resident_bytes,
-                boundary_weight: self.job.boundary_weight,
+                boundary_weight: self.job.policies.boundary_weight,
                 limit,
             };
             self.progress.begin(Stage::Cluster, 0);
@@ -201,7 +220,13 @@ impl Run<'_> {
         }
     }
 
-    fn collapse_options(&self, asked: Option<u64>, faces: usize, frame: Frame) -> collapse::Options {
+    fn collapse_options<'p>(
+        &self,
+        asked: Option<u64>,
+        faces: usize,
+        frame: Frame,
+        locked: &'p [DVec3],
+    ) -> collapse::Options<'p> {
         let max_error = match self.job.target {
             Target::MaxError(length) => frame.to_frame(length),
             _ => f64::INFINITY,
@@ -210,7 +235,8 @@ impl Run<'_> {
         collapse::Options {
             target,
             max_error,
-            boundary_weight: self.job.boundary_weight,
+            policies: self.job.policies.in_frame(frame),
+            locked,
             keep_reference: self.job.refit_rounds > 0 && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
     }

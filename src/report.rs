@@ -98,6 +98,13 @@ pub struct Timeline {
 /// What a user should know about a run that succeeded. Each has a stable code, counts, and a remedy where there is one.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Warning {
+    /// Pieces were too small to be kept.
+    SmallPieces {
+        /// How many.
+        pieces: u64,
+        /// Their faces.
+        faces: u64,
+    },
     /// The input goes on behind its last element.
     TrailingBytes {
         /// Bytes ignored.
@@ -181,6 +188,7 @@ impl Warning {
             Warning::StlLosesDoubles { .. } => "stl-loses-doubles",
             Warning::CoarsenedGrid { .. } => "coarsened-grid",
             Warning::LowRatio { .. } => "low-ratio",
+            Warning::SmallPieces { .. } => "small-pieces",
         }
     }
 }
@@ -245,6 +253,12 @@ impl fmt::Display for Warning {
             Warning::LowRatio { ratio } => write!(
                 f,
                 "the intermediate mesh has only {ratio:.1} times the faces asked for: more --memory gives a closer result"
+            ),
+            Warning::SmallPieces { pieces, faces } => write!(
+                f,
+                "{} of {} dropped: smaller than --min-component",
+                count(pieces, "piece"),
+                count(faces, "face")
             ),
         }
     }

@@ -33,8 +33,21 @@ fn one_scan_says_what_its_comments_say() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/one-scan.toml");
     let job = JobFile::read(&path).unwrap().resolve().unwrap();
     assert_eq!((job.target, job.memory), (Target::Faces(100_000), Size(256 << 20)));
-    assert_eq!((job.representative, job.boundary_weight), (Representative::Quadric, 1.0));
+    assert_eq!((job.representative, job.policies), (Representative::Quadric, Default::default()));
     assert_eq!(job.input, path.parent().unwrap().join("../scan.ply"));
+}
+
+#[test]
+fn one_scan_shows_every_key() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/one-scan.toml");
+    let shown = std::fs::read_to_string(&path).unwrap();
+    for key in JobFile::keys() {
+        assert!(shown.contains(&format!("{key} = ")), "{key} is not shown");
+    }
+    // What is shown behind a `#` is right as well: every key of the collapse, uncommented.
+    let policies = shown.split_once("[collapse]\n").and_then(|(_, rest)| rest.split_once("[refit]")).unwrap().0;
+    let policies = policies.lines().map(|line| line.trim_start_matches("# ")).collect::<Vec<_>>().join("\n");
+    JobFile::parse(&format!("[scan]\ninput = 'a'\noutput = 'b'\nfaces = 9\n[collapse]\n{policies}")).unwrap();
 }
 
 #[test]

@@ -6,7 +6,8 @@
 //! Stars of neighbouring groups overlap. All faces with moving corners are checked with all of them moved; of the groups at
 //! a face that folds over, one is taken back (by a hash: any rule that threads cannot change will do), until none folds.
 
-use super::surface::{Surface, place, turned};
+use super::place::optimal;
+use super::surface::{Surface, turned};
 use crate::mesh::{Coordinate, narrow, step};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -142,7 +143,7 @@ impl<S: Coordinate> Batch<S> {
         let at = surface.at(members[0]);
         let steps = members.iter().map(|&u| surface.at(u) - at);
         let middle = steps.clone().sum::<DVec3>() / members.len() as f64;
-        narrow(at + place(&surface.merged(members, at), middle, steps).step)
+        narrow(at + optimal(&surface.merged(members, at), middle, steps).step)
     }
 
     /// If the batch folds `face` over: one of its corners that would better stay, a leader only if there is no other.

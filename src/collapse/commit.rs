@@ -1,7 +1,7 @@
 //! Applying a batch: merge, renumber, compact. Orders are kept, so that numbers stay monotone and locality stays.
 
 use super::batch::{Batch, NONE};
-use super::surface::{ODD, Surface, TOUCHED};
+use super::surface::{KEPT, Surface, TOUCHED};
 use crate::mesh::{Coordinate, Reference, widen};
 use crate::quadric::PackedQuadric;
 use rayon::prelude::*;
@@ -21,7 +21,7 @@ pub(super) fn commit<S: Coordinate>(
     reference: Option<&mut Reference<S>>,
 ) -> f64 {
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
-        m.fetch_and(ODD, Relaxed);
+        m.fetch_and(KEPT, Relaxed);
     });
     let error_sq = merge(surface, batch, leaders);
     rename(surface, batch);
@@ -46,8 +46,8 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
             .map_init(Vec::new, |members, &v| {
                 batch.members(v, members);
                 let q = this.merged(members, widen(batch.spots[v as usize]));
-                let odd = members.iter().any(|&u| this.odd(u));
-                (q.pack(), if odd { ODD } else { 0 }, if q.w > 0.0 { q.c / q.w } else { 0.0 })
+                let marks = members.iter().fold(0, |marks, &u| marks | this.mark(u)) & KEPT;
+                (q.pack(), marks, if q.w > 0.0 { q.c / q.w } else { 0.0 })
             })
             .collect();
         for (&v, (quadric, marks, error)) in block.iter().zip(merged) {

@@ -32,15 +32,23 @@
 //! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (137 in doubles); compaction is in place.
 
 mod batch;
+mod check;
 mod classify;
 mod commit;
 mod groups;
+mod hold;
 mod pairs;
+mod penalty;
 mod pieces;
+mod place;
+mod policy;
 mod surface;
 mod tail;
+mod weigh;
 
 pub use classify::Irregularities;
+pub use pieces::Dropped;
+pub use policy::{Features, FoldCheck, Least, Placement, Policies, Quadrics, Topology, Weighting};
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
@@ -48,6 +56,7 @@ use crate::mesh::{Coordinate, IndexedMesh, Reference, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use batch::{Batch, order};
+use glam::DVec3;
 use pieces::Pieces;
 use rayon::prelude::*;
 use std::sync::atomic::AtomicU8;
@@ -55,16 +64,24 @@ use surface::{REFUSED, Surface, TOUCHED};
 
 /// What steers the collapse.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct Options<'a> {
     /// Faces to end with, at most.
     pub target: usize,
     /// Largest error of a merged vertex, √(cost ÷ area), in the frame's units; infinite for none.
     pub max_error: f64,
-    /// Weight of border edges against area: a border edge's squared length times this is the weight of the squared distance
-    /// to its line. 0 lets borders shrink, 10 costs 45 % of E_avg on the bunny.
-    pub boundary_weight: f64,
+    /// How it is steered.
+    pub policies: Policies,
+    /// The vertices nearest to these points stay where they are.
+    pub locked: &'a [DVec3],
     /// Whether to keep the mesh as it was at ten times the target, and what became of it.
     pub keep_reference: bool,
+}
+
+impl Options<'_> {
+    /// To that many faces, by the default policies.
+    pub fn to(target: usize) -> Self {
+        Options { target, max_error: f64::INFINITY, policies: Policies::default(), locked: &[], keep_reference: false }
+    }
 }
 
 /// The reduced mesh and what happened.
@@ -83,6 +100,10 @@ pub struct Collapsed<S> {
     pub rounds: u32,
     /// Whether faces had to be folded over to reach the count.
     pub folded: bool,
+    /// Pieces that were too small and went before anything else.
+    pub dropped: Dropped,
+    /// Vertices of the result that are locked.
+    pub locked: Vec<u32>,
 }
 
 /// From how many times the target on the current faces choose, and learnt quadrics advise. After a refit, 10 and 7 are no
@@ -144,11 +165,13 @@ pub fn reference_bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
 /// Collapses `mesh` to at most `options.target` faces. `learnt` are the quadrics that its vertices carry, about their
 /// positions; without them, those of its faces. Ends above the target only where `options.max_error` forbids the rest.
 pub fn collapse<S: Coordinate>(
-    mesh: IndexedMesh<S>,
-    learnt: Option<Vec<PackedQuadric>>,
+    mut mesh: IndexedMesh<S>,
+    mut learnt: Option<Vec<PackedQuadric>>,
     options: &Options,
     progress: &Progress,
 ) -> Result<Collapsed<S>> {
+    let least = options.policies.min_component;
+    let dropped = least.map_or(Dropped::default(), |least| pieces::drop_small(&mut mesh, &mut learnt, least));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
     let (mut surface, irregularities) = prepare(mesh, learnt, options);
     let mut error_sq = largest_error_sq(&surface.learnt);
@@ -164,13 +187,20 @@ pub fn collapse<S: Coordinate>(
     }
     let mut folded = false;
     if surface.faces.len() > options.target && options.max_error == f64::INFINITY {
-        surface.renew_current(options);
+        if options.policies.quadrics == Quadrics::Current {
+            surface.renew_current(options);
+        }
         let end = tail::finish(&mut surface, options, reference.as_mut(), progress)?;
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
     }
+    let locked = match options.locks() {
+        true => (0..surface.positions.len() as u32).filter(|&v| surface.locked(v)).collect(),
+        false => Vec::new(),
+    };
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
-    Ok(Collapsed { mesh, error_estimate: error_sq.sqrt(), irregularities, reference, rounds: count, folded })
+    let error_estimate = error_sq.sqrt();
+    Ok(Collapsed { mesh, error_estimate, irregularities, reference, rounds: count, folded, dropped, locked })
 }
 
 /// Lays out the arrays, classifies, and learns the faces' quadrics where none are carried.
@@ -193,6 +223,7 @@ fn prepare<S: Coordinate>(
         stars,
     };
     let irregularities = classify::classify(&surface);
+    surface.mark_held(options);
     surface.find_pieces();
     if surface.learnt.is_empty() {
         surface.learn(options);
@@ -208,7 +239,7 @@ fn largest_error_sq(learnt: &[PackedQuadric]) -> f64 {
 
 /// The rounds of batches, and what they keep from one to the next.
 struct Rounds<'a, S> {
-    options: &'a Options,
+    options: &'a Options<'a>,
     batch: Batch<S>,
     /// Faces at which the rounds end.
     floor: usize,
@@ -220,7 +251,7 @@ struct Rounds<'a, S> {
 }
 
 impl<'a, S: Coordinate> Rounds<'a, S> {
-    fn new(options: &'a Options) -> Self {
+    fn new(options: &'a Options<'a>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
         let tail = TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize);
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
@@ -235,13 +266,16 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             return Ok(None);
         }
         let within = |factor: usize| before / factor <= self.options.target;
-        let near = self.paired || within(LAST_FACTOR);
+        let last = self.paired || within(LAST_FACTOR);
+        let near = last || self.options.policies.by_pairs() || self.options.locks();
         let most = (before - self.floor).div_ceil(2);
-        if self.options.keep_reference && self.reference.is_none() && (near || within(REFERENCE_FACTOR)) {
+        if self.options.keep_reference && self.reference.is_none() && (last || within(REFERENCE_FACTOR)) {
             self.reference = Some(surface.reference());
         }
         if near {
-            surface.renew_current(self.options);
+            if self.options.policies.quadrics == Quadrics::Current {
+                surface.renew_current(self.options);
+            }
             surface.evaluate(self.options, |marks| marks & TOUCHED != 0);
             let wanted = most.min((PAIRS_SHARE * surface.positions.len() as f64) as usize).max(1);
             let limit = limit(surface.costs.as_flattened(), (PAIRS_SLACK * wanted as f64) as u64);
@@ -250,7 +284,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             groups::select(&mut self.batch, surface, if within(FAR_FACTOR) { MIDDLE } else { FAR });
         }
         let mut leaders = self.batch.all_leaders();
-        self.hold_back(&mut leaders, surface, most);
+        self.hold_back(&mut leaders, surface, most, near);
         if leaders.is_empty() && near {
             return Ok(None);
         }
@@ -267,16 +301,16 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
     }
 
     /// Keeps only the cheapest groups of the batch, so that at most `most` vertices go.
-    fn hold_back(&mut self, leaders: &mut Vec<u32>, surface: &Surface<S>, most: usize) {
+    fn hold_back(&mut self, leaders: &mut Vec<u32>, surface: &Surface<S>, most: usize, near: bool) {
         if self.batch.moving() - leaders.len() <= most {
             return;
         }
         let batch = &self.batch;
         let key = |members: &mut Vec<u32>, &v: &u32| {
             batch.members(v, members);
-            let cost = match surface.current.is_empty() {
-                true => surface.merged(members, widen(batch.spots[v as usize])).c,
-                false => f64::from(surface.cost(&surface.stars, v, members[1], self.options)),
+            let cost = match near {
+                false => surface.merged(members, widen(batch.spots[v as usize])).c,
+                true => f64::from(surface.cost(&surface.stars, v, members[1], self.options)),
             };
             ((cost as f32).to_bits(), order(v, v), members.len() - 1)
         };

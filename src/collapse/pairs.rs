@@ -10,6 +10,8 @@
 
 use super::Options;
 use super::batch::{Batch, NONE, hash};
+use super::check::take_back_neighbours;
+use super::policy::{FoldCheck, Topology};
 use super::surface::Surface;
 use crate::mesh::adjacency::{after, before, parts};
 use crate::mesh::{Coordinate, widen};
@@ -39,7 +41,12 @@ pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &mut Surface<
             break;
         }
     }
-    batch.take_back_folds(surface, 2);
+    if options.policies.topology == Topology::Preserve {
+        take_back_neighbours(batch, surface);
+    }
+    if options.policies.fold_check != FoldCheck::Off {
+        batch.take_back_folds(surface, 2);
+    }
 }
 
 /// Every free vertex looks for its cheapest edge to a free vertex, unless the one it found before still stands.
@@ -79,7 +86,7 @@ fn take<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, options: &Opt
                     return (taken, refused);
                 }
                 let candidate = surface.candidate(&surface.stars, v, u, options);
-                *spot = surface.spot(v, u, candidate.step);
+                *spot = surface.spot(v, u, candidate.step, options);
                 let admitted = admissible(surface, v, u, *spot, options);
                 for x in [v, u] {
                     if admitted {
@@ -130,5 +137,6 @@ fn admissible<S: Coordinate>(surface: &Surface<S>, a: u32, b: u32, x: [S; 3], op
             return false;
         }
     }
-    !surface.folds(&surface.stars, a, b, x)
+    !surface.folds(&surface.stars, a, b, x, options.policies.fold_check)
+        && surface.allows(&surface.stars, a, b, options)
 }

@@ -7,9 +7,12 @@
 //! stay for as long as nothing else is cheaper to lose.
 
 use super::batch::NONE;
+use super::policy::Least;
 use crate::mesh::{Coordinate, Extent, IndexedMesh, widen};
+use crate::quadric::PackedQuadric;
 use glam::DVec3;
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
 /// Vertices of a piece from which the nearest other piece is looked for.
 const PROBES: usize = 8;
@@ -144,6 +147,56 @@ impl Pieces {
         }
         probes
     }
+}
+
+/// What went because it was too small.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Dropped {
+    /// Pieces.
+    pub pieces: u64,
+    /// Their faces.
+    pub faces: u64,
+}
+
+/// Drops the pieces that are less than `least`, with their vertices.
+pub(super) fn drop_small<S: Coordinate>(
+    mesh: &mut IndexedMesh<S>,
+    learnt: &mut Option<Vec<PackedQuadric>>,
+    least: Least,
+) -> Dropped {
+    let of = roots(mesh);
+    let mut sizes = vec![0.0f64; of.len()];
+    for &[a, b, c] in &mesh.faces {
+        let area = || 0.5 * (mesh.at(b) - mesh.at(a)).cross(mesh.at(c) - mesh.at(a)).length();
+        sizes[of[a as usize] as usize] += if let Least::Area(_) = least { area() } else { 1.0 };
+    }
+    let least = match least {
+        Least::Faces(faces) => faces as f64,
+        Least::Area(area) => area,
+    };
+    let small: Vec<bool> = of.iter().map(|&root| sizes[root as usize] < least).collect();
+    let is_small = |face: &[u32; 3]| small[face[0] as usize];
+    let roots_of_small: FxHashSet<u32> = mesh.faces.iter().filter(|f| is_small(f)).map(|f| of[f[0] as usize]).collect();
+    let pieces = roots_of_small.len();
+    let before = mesh.faces.len();
+    mesh.faces.retain(|face| !is_small(face));
+    let numbers = small.iter().scan(0, |kept, small| {
+        *kept += u32::from(!small);
+        Some(*kept - u32::from(!small))
+    });
+    let numbers: Vec<u32> = numbers.collect();
+    mesh.faces.iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
+    keep(&mut mesh.positions, &small);
+    if let Some(learnt) = learnt {
+        keep(learnt, &small);
+    }
+    Dropped { pieces: pieces as u64, faces: (before - mesh.faces.len()) as u64 }
+}
+
+/// Keeps the items that do not go.
+fn keep<T>(items: &mut Vec<T>, go: &[bool]) {
+    let mut go = go.iter();
+    items.retain(|_| go.next() == Some(&false));
 }
 
 /// For every vertex the least vertex that faces join it to: itself where it has none.
@@ -305,6 +358,23 @@ mod tests {
         assert!((0..196).all(|v| pieces.of[v] == pieces.of[0]) && last != pieces.of[0]);
         assert_eq!((pieces.list.len(), pieces.list[last as usize].faces, pieces.of[200]), (2, 4, NONE));
         assert!(Pieces::find(&dust(1, 0.1), |_| false).of.is_empty());
+    }
+
+    #[test]
+    fn small_pieces_are_dropped_by_faces_or_by_area() {
+        for (least, pieces) in
+            [(Least::Faces(5), 0), (Least::Area(1e-3), 0), (Least::Area(1e-5), 1), (Least::Faces(4), 1)]
+        {
+            let mut mesh = dust(1, 0.01);
+            let big = dust(1, 0.5);
+            mesh.faces.extend(big.faces.iter().map(|f| f.map(|v| v + 4)));
+            mesh.faces.push([4, 5, 6]);
+            mesh.positions.extend(&big.positions);
+            let dropped = drop_small(&mut mesh, &mut None, least);
+            assert_eq!((dropped.pieces, dropped.faces), (1 - pieces, 4 - 4 * pieces), "{least:?}");
+            assert_eq!((mesh.faces.len() as u64, mesh.positions.len() as u64), (5 + 4 * pieces, 4 + 4 * pieces));
+            assert!(mesh.faces.iter().flatten().all(|&v| u64::from(v) < 4 + 4 * pieces));
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The mesh while it is collapsed: its arrays, and what is asked of them at one edge.
 
 use super::pieces::Pieces;
+use super::policy::{FoldCheck, Placement, Quadrics, Weighting};
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
@@ -34,6 +35,12 @@ pub(super) struct Surface<S> {
 pub(super) const ODD: u8 = 1;
 /// A face at the vertex was changed by the last round.
 pub(super) const TOUCHED: u8 = 2;
+/// The vertex stays where it is.
+pub(super) const LOCKED: u8 = 8;
+/// The vertex was on a feature edge.
+pub(super) const FEATURE: u8 = 16;
+/// Marks that a merged vertex has from those it stands for.
+pub(super) const KEPT: u8 = ODD | LOCKED | FEATURE;
 
 /// Where corners of a vertex are looked up: the round's stars, or the tail's.
 pub(super) trait Around {
@@ -54,14 +61,6 @@ pub(super) struct Candidate {
     pub step: DVec3,
     pub cost: f64,
 }
-
-/// Pull towards the middle of the edge, as a share of the mean weight: it fixes what the planes leave open (a flat's vertex
-/// does not slide), and is too weak to be felt where they say something.
-const PULL: f64 = 1e-4;
-
-/// A placement further from the middle than this many edge lengths is the intersection of nearly parallel planes, not a
-/// place on the surface: the best of the middle and the ends is taken instead.
-const REACH: f64 = 3.0;
 
 /// The least cosine between a face's normals before and after: a face may tilt, never fold over (thesis §3.7 asks the
 /// same of each face by edge planes). 0.2 refuses less than 1 collapse in 100 on a noisy scan of 1.2 M faces.
@@ -87,7 +86,7 @@ impl<S: Coordinate> Surface<S> {
     }
 
     #[inline(always)]
-    fn mark(&self, v: u32) -> u8 {
+    pub fn mark(&self, v: u32) -> u8 {
         self.marks[v as usize].load(Relaxed)
     }
 
@@ -114,9 +113,31 @@ impl<S: Coordinate> Surface<S> {
     pub fn candidate(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> Candidate {
         let (pa, pb) = (self.at(a), self.at(b));
         let half = 0.5 * (pb - pa);
-        let mut candidate = place(&self.current_form(around, a, b, half, options), DVec3::ZERO, [half, -half]);
-        candidate.cost += LEARNT_WEIGHT * self.learnt_form(a, b, half).value(candidate.step);
+        let policies = &options.policies;
+        let learnt = self.learnt_form(a, b, half);
+        let mut candidate = match policies.quadrics {
+            Quadrics::Accumulated => self.place(a, b, &learnt, half, options),
+            Quadrics::Current => {
+                let mut candidate = self.place(a, b, &self.current_form(around, a, b, half, options), half, options);
+                candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
+                candidate
+            }
+        };
+        if policies.penalises() {
+            candidate.cost += self.penalty(around, a, b, pa + half + candidate.step, policies);
+        }
         candidate
+    }
+
+    /// The best place for the vertex that `a` and `b` become: where a locked one is.
+    #[inline(always)]
+    fn place(&self, a: u32, b: u32, q: &Quadric, half: DVec3, options: &Options) -> Candidate {
+        if options.locks() && (self.locked(a) || self.locked(b)) {
+            let step = if self.locked(a) { -half } else { half };
+            let both = self.locked(a) && self.locked(b);
+            return Candidate { step, cost: if both { f64::INFINITY } else { q.value(step) } };
+        }
+        options.policies.placement.on_edge(q, half)
     }
 
     /// The sum of what both ends have learnt, about the middle of the edge.
@@ -144,10 +165,18 @@ impl<S: Coordinate> Surface<S> {
         let mut faces = 0;
         for f in self.shared(around, a, b) {
             faces += 1;
-            subtract(&mut q, &plane_through(self.normal(f)));
+            let mut plane = plane_through(self.normal(f));
+            if options.policies.weighting != Weighting::Area {
+                // It was counted at both ends: once is by the mean of what it counts there.
+                plane = scaled(&plane, 0.5 * (self.share(f, a, options) + self.share(f, b, options)));
+            }
+            subtract(&mut q, &plane);
         }
         if faces == 1 {
-            subtract(&mut q, &border_line(2.0 * half, options.boundary_weight));
+            subtract(&mut q, &options.policies.border_line(2.0 * half));
+        }
+        if let Some(features) = options.policies.features {
+            subtract(&mut q, &self.feature(around, a, b, features).unwrap_or_default());
         }
         q
     }
@@ -160,9 +189,24 @@ impl<S: Coordinate> Surface<S> {
         let mut q = Quadric::default();
         for &corner in star {
             let (p, s) = self.ends(corner);
-            q += plane_through((self.at(p) - at).cross(self.at(s) - at));
+            let plane = plane_through((self.at(p) - at).cross(self.at(s) - at));
+            q += match options.policies.weighting {
+                Weighting::Area => plane,
+                _ => scaled(&plane, self.share(corner >> 2, v, options)),
+            };
+        }
+        if let Some(features) = options.policies.features {
+            q += self.features_at(around, v, features);
         }
         if self.odd(v) { q + self.borders_at(around, v, options) } else { q }
+    }
+
+    /// What a face's plane counts at one of its corners, as a multiple of its area.
+    fn share(&self, f: u32, v: u32, options: &Options) -> f64 {
+        let face = self.faces[f as usize];
+        let side = face.iter().position(|&u| u == v).unwrap_or(0);
+        let at = self.at(v);
+        options.policies.weighting.share(self.at(face[after(side)]) - at, self.at(face[before(side)]) - at)
     }
 
     /// The lines of the border edges at `v`: to neighbours that only one of its faces has.
@@ -172,7 +216,7 @@ impl<S: Coordinate> Surface<S> {
         let mut q = Quadric::default();
         for same in neighbours.chunk_by(|a, b| a == b) {
             if let [u] = same {
-                q += border_line(self.at(*u) - self.at(v), options.boundary_weight);
+                q += options.policies.border_line(self.at(*u) - self.at(v));
             }
         }
         q
@@ -181,6 +225,12 @@ impl<S: Coordinate> Surface<S> {
     /// Learns the planes of the faces and the borders. Each face's plane is worked out once, as the vector whose product
     /// with itself is its quadric.
     pub fn learn(&mut self, options: &Options) {
+        if options.policies.weighting != Weighting::Area || options.policies.features.is_some() {
+            let this = &*self;
+            let form = |v: u32| this.form_around(&this.stars, v, options).pack();
+            self.learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(form).collect();
+            return;
+        }
         let mut roots = vec![[0.0f32; 3]; self.faces.len()];
         let this = &*self;
         this.faces.par_iter().zip(&mut roots).with_min_len(1024).for_each(|(face, root)| {
@@ -227,7 +277,7 @@ impl<S: Coordinate> Surface<S> {
     }
 
     /// Whether merging `a` and `b` at `x` would fold a face over. Faces without area may become anything.
-    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: [S; 3]) -> bool {
+    pub fn folds(&self, around: &impl Around, a: u32, b: u32, x: [S; 3], check: FoldCheck) -> bool {
         let folds_at = |v: u32, other: u32| {
             let at = self.positions[v as usize];
             around.of(v).iter().any(|&corner| {
@@ -236,7 +286,7 @@ impl<S: Coordinate> Surface<S> {
                     return false;
                 }
                 let (p, q) = (self.positions[p as usize], self.positions[q as usize]);
-                turned(step(at, p).cross(step(at, q)), step(x, p).cross(step(x, q)))
+                check.refuses(at, x, p, q)
             })
         };
         folds_at(a, b) || folds_at(b, a)
@@ -308,8 +358,14 @@ impl<S: Coordinate> Surface<S> {
         self.current = current;
     }
 
-    /// Where a merged vertex goes, as it will be stored.
-    pub fn spot(&self, a: u32, b: u32, step: DVec3) -> [S; 3] {
+    /// Where a merged vertex goes, as it will be stored: at an end exactly where that is the policy.
+    pub fn spot(&self, a: u32, b: u32, step: DVec3, options: &Options) -> [S; 3] {
+        if options.locks() && (self.locked(a) || self.locked(b)) {
+            return self.positions[if self.locked(a) { a } else { b } as usize];
+        }
+        if options.policies.placement == Placement::Endpoint {
+            return self.positions[if step.dot(self.at(b) - self.at(a)) > 0.0 { b } else { a } as usize];
+        }
         narrow(0.5 * (self.at(a) + self.at(b)) + step)
     }
 }
@@ -339,21 +395,9 @@ pub(super) fn plane_through(normal: DVec3) -> Quadric {
     }
 }
 
-/// The quadric of a border edge about one of its ends: squared distance to its line, weighted by its squared length.
-#[inline(always)]
-pub(super) fn border_line(edge: DVec3, weight: f64) -> Quadric {
-    let l2 = edge.length_squared();
-    Quadric {
-        a: [
-            weight * (l2 - edge.x * edge.x),
-            -weight * edge.x * edge.y,
-            -weight * edge.x * edge.z,
-            weight * (l2 - edge.y * edge.y),
-            -weight * edge.y * edge.z,
-            weight * (l2 - edge.z * edge.z),
-        ],
-        ..Default::default()
-    }
+/// The same planes, with another weight.
+fn scaled(q: &Quadric, factor: f64) -> Quadric {
+    Quadric { a: q.a.map(|x| x * factor), w: q.w * factor, ..Default::default() }
 }
 
 #[inline(always)]
@@ -383,24 +427,4 @@ fn least_of_three(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
     let least = |a: f32, b: f32| if a < b { a } else { b };
     let cost = p.c + q.c + least(middle, least(at_p, at_q));
     if cost > 0.0 { cost } else { 0.0 }
-}
-
-/// Optimal placement with its fallbacks (thesis §3.5): the minimiser, unless it lies far from all that is merged; then the
-/// best of the middle and the merged vertices.
-#[inline(always)]
-pub(super) fn place(q: &Quadric, middle: DVec3, merged: impl IntoIterator<Item = DVec3> + Clone) -> Candidate {
-    let reach_sq = merged.clone().into_iter().map(|p| (p - middle).length_squared()).fold(0.0, f64::max);
-    if let Some(step) = q.minimiser(middle, PULL)
-        && (step - middle).length_squared() <= (2.0 * REACH) * (2.0 * REACH) * reach_sq
-    {
-        return Candidate { step, cost: q.value(step) };
-    }
-    let mut best = Candidate { step: middle, cost: q.value(middle) };
-    for step in merged {
-        let cost = q.value(step);
-        if cost < best.cost {
-            best = Candidate { step, cost };
-        }
-    }
-    best
 }

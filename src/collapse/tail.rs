@@ -2,7 +2,7 @@
 
 use super::Options;
 use super::batch::{NONE, order};
-use super::surface::{Around, ODD, Surface};
+use super::surface::{Around, KEPT, Surface};
 use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::{Coordinate, Reference, widen};
 use crate::{Result, progress::Progress};
@@ -99,7 +99,7 @@ struct Tail<'a, S> {
     becomes: Vec<u32>,
     left: usize,
     error_sq: f64,
-    options: &'a Options,
+    options: &'a Options<'a>,
 }
 
 impl<S: Coordinate> Tail<'_, S> {
@@ -165,18 +165,20 @@ impl<S: Coordinate> Tail<'_, S> {
     fn collapse(&mut self, a: u32, b: u32, may_fold: bool) -> bool {
         let s = &*self.surface;
         let candidate = s.candidate(&self.overlay, a, b, self.options);
-        let spot = s.spot(a, b, candidate.step);
+        let spot = s.spot(a, b, candidate.step, self.options);
         let merged = s.merged(&[a, b], widen(spot));
         let error_sq = if merged.w > 0.0 { merged.c / merged.w } else { 0.0 };
-        if !may_fold && s.folds(&self.overlay, a, b, spot) {
+        let check = self.options.policies.fold_check;
+        let folds = !may_fold && s.folds(&self.overlay, a, b, spot, check);
+        if folds || !s.allows(&self.overlay, a, b, self.options) {
             return false;
         }
         self.error_sq = self.error_sq.max(error_sq);
         let v = a as usize;
         self.surface.positions[v] = spot;
         self.surface.learnt[v] = merged.pack();
-        let odd = self.surface.marks[b as usize].load(Relaxed) & ODD;
-        self.surface.marks[v].fetch_or(odd, Relaxed);
+        let marks = self.surface.mark(b) & KEPT;
+        self.surface.marks[v].fetch_or(marks, Relaxed);
         self.becomes[b as usize] = a;
         self.rewire(a, b);
         self.refresh(a);
@@ -225,7 +227,8 @@ impl<S: Coordinate> Tail<'_, S> {
         }
         ring.sort_unstable();
         ring.dedup();
-        for &u in ring.iter().chain([&v]) {
+        let kept = !self.surface.current.is_empty();
+        for &u in ring.iter().chain([&v]).filter(|_| kept) {
             let form = self.surface.form_around(&self.overlay, u, self.options);
             self.surface.current[u as usize] = form.a.map(|x| x as f32);
         }
@@ -247,11 +250,13 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>) -> Vec<u32> {
     for (v, number) in numbers.iter_mut().enumerate() {
         if *number != NONE {
             surface.positions[kept] = surface.positions[v];
+            surface.marks.swap(kept, v);
             *number = kept as u32;
             kept += 1;
         }
     }
     surface.positions.truncate(kept);
+    surface.marks.truncate(kept);
     for v in surface.faces.iter_mut().flatten() {
         *v = numbers[*v as usize];
     }

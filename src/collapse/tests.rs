@@ -5,8 +5,8 @@ use crate::mesh::{Extent, Frame, widen};
 use glam::DVec3;
 use std::collections::HashMap;
 
-fn options(target: usize) -> Options {
-    Options { target, max_error: f64::INFINITY, boundary_weight: 1.0, keep_reference: false }
+fn options(target: usize) -> Options<'static> {
+    Options::to(target)
 }
 
 fn reduce(mesh: &IndexedMesh<f32>, target: usize) -> Collapsed<f32> {
@@ -215,7 +215,7 @@ fn threads_change_nothing() {
 fn an_error_bound_ends_the_collapse() {
     let scan = sphere(40, 0.0);
     let bounded = |max_error: f64| {
-        let options = Options { target: 0, max_error, boundary_weight: 1.0, keep_reference: false };
+        let options = Options { max_error, ..options(0) };
         collapse(scan.clone(), None, &options, &Progress::default()).unwrap()
     };
     let (fine, coarse) = (bounded(1e-4), bounded(1e-2));
@@ -271,4 +271,205 @@ fn a_speck_far_away_is_kept_and_one_close_by_goes() {
         assert_eq!((mesh.faces.len(), beyond(0.9)), (target, 4), "at {target}");
     }
     assert!(reduce(&scan, 0).mesh.faces.is_empty());
+}
+
+/// Policies other than the default: for each, what holds of all must hold.
+fn policies() -> Vec<Policies> {
+    let usual = Policies::default();
+    vec![
+        Policies { quadrics: Quadrics::Accumulated, ..usual },
+        Policies { placement: Placement::Line, ..usual },
+        Policies { placement: Placement::EndpointOrMidpoint, quadrics: Quadrics::Accumulated, ..usual },
+        Policies { placement: Placement::Endpoint, ..usual },
+        Policies { weighting: Weighting::Angle, ..usual },
+        Policies { weighting: Weighting::Uniform, boundary_weight: 2.0, ..usual },
+        Policies { features: Some(Features { angle: 40.0, weight: 1.0 }), lock_border: true, ..usual },
+        Policies { fold_check: FoldCheck::Planes, compactness: 0.3, valence_penalty: 1.0, ..usual },
+        Policies { fold_check: FoldCheck::Both, min_component: Some(Least::Faces(9)), ..usual },
+        Policies { topology: Topology::Preserve, ..usual },
+    ]
+}
+
+fn reduce_by(mesh: &IndexedMesh<f32>, target: usize, policies: Policies) -> Collapsed<f32> {
+    collapse(mesh.clone(), None, &Options { policies, ..options(target) }, &Progress::default()).unwrap()
+}
+
+#[test]
+fn every_policy_is_the_same_by_any_threads_and_at_any_scale() {
+    let scan = sphere(30, 0.004);
+    for policies in policies() {
+        let run = |threads: usize, factor: f32| {
+            let mut scan = scan.clone();
+            scan.positions.iter_mut().flatten().for_each(|x| *x *= factor);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut result = pool.install(|| reduce_by(&scan, 900, policies));
+            result.mesh.positions.iter_mut().flatten().for_each(|x| *x /= factor);
+            result.mesh
+        };
+        let one = run(1, 1.0);
+        assert_eq!(one.faces.len(), 900, "{policies:?}");
+        assert!(one.positions.iter().all(|p| (widen(*p).length() - 0.4).abs() < 0.02), "{policies:?}");
+        assert!(edges(&one).values().all(|&e| e == (1, 1)), "{policies:?}");
+        for threads in [2, 5] {
+            assert!(run(threads, 1.0) == one, "{threads} threads: {policies:?}");
+        }
+        assert!(run(1, 0.5) == one, "half the size: {policies:?}");
+    }
+}
+
+#[test]
+fn every_policy_takes_what_is_not_manifold() {
+    for policies in policies() {
+        let result = reduce_by(&messy(), 200, policies);
+        if policies.topology == Topology::Preserve {
+            continue;
+        }
+        assert!((198..=200).contains(&result.mesh.faces.len()), "{}: {policies:?}", result.mesh.faces.len());
+    }
+}
+
+#[test]
+fn endpoints_are_vertices_of_the_scan() {
+    let scan = sphere(20, 0.01);
+    let result = reduce_by(&scan, 300, Policies { placement: Placement::Endpoint, ..Default::default() });
+    assert!(result.mesh.positions.iter().all(|p| scan.positions.contains(p)));
+}
+
+#[test]
+fn a_locked_border_keeps_every_vertex() {
+    let scan = grid(40, |x, y| 0.1 * (7.0 * x).sin() * (5.0 * y).cos());
+    let border = |p: &[f32; 3]| p[..2].iter().any(|x| *x == 0.0 || *x == 1.0);
+    let result = reduce_by(&scan, 400, Policies { lock_border: true, ..Default::default() });
+    assert!((399..=400).contains(&result.mesh.faces.len()));
+    let of = |mesh: &IndexedMesh<f32>| {
+        let mut bits: Vec<_> = mesh.positions.iter().filter(|p| border(p)).map(|p| p.map(f32::to_bits)).collect();
+        bits.sort_unstable();
+        bits
+    };
+    assert!(of(&result.mesh) == of(&scan));
+    assert_eq!(result.locked.len(), 160);
+}
+
+#[test]
+fn locked_vertices_stay_where_they_are() {
+    let scan = sphere(24, 0.01);
+    let points = [DVec3::X, DVec3::new(0.1, -0.9, 0.2)];
+    let locked = Options { locked: &points, ..options(60) };
+    let result = collapse(scan.clone(), None, &locked, &Progress::default()).unwrap();
+    for point in points {
+        let distance_sq = |p: &&[f32; 3]| widen(**p).distance_squared(point);
+        let nearest = scan.positions.iter().min_by(|a, b| distance_sq(a).total_cmp(&distance_sq(b))).unwrap();
+        assert!(result.mesh.positions.contains(nearest));
+    }
+    assert_eq!((result.mesh.faces.len(), result.locked.len()), (60, 2));
+}
+
+/// A ridge like a blade: two slopes that meet at a sharp edge along y.
+fn ridge() -> IndexedMesh<f32> {
+    grid(40, |x, y| if (x - 0.5).abs() < 0.13 { 0.6 - 4.0 * (x - 0.5).abs() + 0.02 * (30.0 * y).sin() } else { 0.1 })
+}
+
+#[test]
+fn feature_edges_hold_a_ridge() {
+    let scan = ridge();
+    let on_crest = |policies: Policies| {
+        let mesh = reduce_by(&scan, 300, policies).mesh;
+        mesh.positions.iter().filter(|p| (p[0] - 0.5).abs() < 5e-3 && p[2] > 0.5).count()
+    };
+    let features = Some(Features { angle: 90.0, weight: 10.0 });
+    let (plain, held) = (on_crest(Policies::default()), on_crest(Policies { features, ..Default::default() }));
+    assert!(held > plain, "{held} vertices on the crest, {plain} without features");
+}
+
+#[test]
+fn specks_are_dropped_and_counted() {
+    let mut scan = sphere(10, 0.0);
+    let n = scan.positions.len() as u32;
+    scan.positions.extend([[0.9, 0.9, 0.9], [0.91, 0.9, 0.9], [0.9, 0.91, 0.9]]);
+    scan.faces.push([n, n + 1, n + 2]);
+    let least = Some(Least::Faces(2));
+    let result = reduce_by(&scan, 5000, Policies { min_component: least, ..Default::default() });
+    assert_eq!(result.dropped, Dropped { pieces: 1, faces: 1 });
+    assert_eq!((result.mesh.faces.len(), result.mesh.positions.len()), (1200, n as usize));
+}
+
+/// Two rings of `4·side` quads by 8 each around the y axis (genus 1), and a speck of a tetrahedron.
+fn rings() -> IndexedMesh<f32> {
+    let mut mesh = IndexedMesh::default();
+    let (around, across) = (60u32, 8u32);
+    for ring in [-0.2f64, 0.2] {
+        let first = mesh.positions.len() as u32;
+        for i in 0..around {
+            for j in 0..across {
+                let turn = std::f64::consts::TAU;
+                let (a, b) = (turn * f64::from(i) / f64::from(around), turn * f64::from(j) / f64::from(across));
+                let r = 0.3 + 0.03 * b.cos();
+                mesh.positions.push(narrow(DVec3::new(r * a.cos(), ring + 0.03 * b.sin(), r * a.sin())));
+                let at = |i: u32, j: u32| first + (i % around) * across + j % across;
+                let [p, q, r, s] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+                mesh.faces.extend([[p, q, r], [p, r, s]]);
+            }
+        }
+    }
+    let n = mesh.positions.len() as u32;
+    mesh.positions.extend([[0.0; 3], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]]);
+    mesh.faces.extend([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]].map(|f| f.map(|v| v + n)));
+    mesh
+}
+
+/// Vertices − edges + faces.
+fn euler(mesh: &IndexedMesh<f32>) -> i64 {
+    mesh.positions.len() as i64 - edges(mesh).len() as i64 + mesh.faces.len() as i64
+}
+
+#[test]
+fn preserved_topology_is_the_scans() {
+    let preserve = Policies { topology: Topology::Preserve, ..Default::default() };
+    let scan = rings();
+    assert_eq!(euler(&scan), 2);
+    for target in [600, 100, 0] {
+        let mesh = reduce_by(&scan, target, preserve).mesh;
+        assert_eq!(euler(&mesh), 2, "at {target}");
+        assert!(edges(&mesh).values().all(|&e| e == (1, 1)), "at {target}");
+        // A torus needs 14 faces, a tetrahedron 4.
+        assert!(mesh.faces.len() >= 32 && mesh.faces.len() <= target.max(60), "{} at {target}", mesh.faces.len());
+    }
+    let mut holed = grid(30, |x, y| x * y);
+    holed.faces.retain(|f| f.iter().all(|v| *v != 300));
+    let mesh = reduce_by(&holed, 0, preserve).mesh;
+    assert_eq!(euler(&mesh), 0, "one hole in a disc");
+    let borders = edges(&mesh).values().filter(|e| e.0 + e.1 == 1).count();
+    assert!(mesh.faces.len() >= 6 && borders >= 6, "{} faces, {borders} border edges", mesh.faces.len());
+    assert_eq!(reduce_by(&sphere(12, 0.0), 0, preserve).mesh.faces.len(), 4);
+}
+
+#[test]
+fn penalties_do_what_they_say() {
+    let scan = sphere(30, 0.01);
+    let worst = |policies: Policies| {
+        let mesh = reduce_by(&scan, 500, policies).mesh;
+        let slivers = mesh.faces.iter().filter(|f| {
+            let [a, b, c] = f.map(|v| mesh.at(v));
+            let squares = (b - a).length_squared() + (c - b).length_squared() + (a - c).length_squared();
+            2.0 * 3f64.sqrt() * (b - a).cross(c - a).length() < 0.5 * squares
+        });
+        let mut valences = vec![0; mesh.positions.len()];
+        mesh.faces.iter().flatten().for_each(|&v| valences[v as usize] += 1);
+        (slivers.count(), valences.iter().filter(|n| **n > 8).count())
+    };
+    let usual = Policies::default();
+    let plain = worst(usual);
+    let compact = worst(Policies { compactness: 0.5, ..usual });
+    let low = worst(Policies { valence_penalty: 1.0, ..usual });
+    assert!(plain.0 > 2 * compact.0 && plain.1 > low.1, "{plain:?}, compact {compact:?}, low {low:?}");
+}
+
+#[test]
+fn a_check_of_planes_lets_no_face_fold() {
+    let scan = grid(40, |_, _| 0.25);
+    for check in [FoldCheck::Normals, FoldCheck::Planes, FoldCheck::Both] {
+        let mesh = reduce_by(&scan, 200, Policies { fold_check: check, ..Default::default() }).mesh;
+        let up = |f: &[u32; 3]| (mesh.at(f[1]) - mesh.at(f[0])).cross(mesh.at(f[2]) - mesh.at(f[0])).z >= 0.0;
+        assert!(mesh.faces.iter().all(up), "{check:?}");
+    }
 }

@@ -15,6 +15,7 @@
 //! representative = "quadric"
 //!
 //! [collapse]
+//! quadrics = "current"      # the policies: all keys are in `CollapseTable`
 //! boundary_weight = 1.0
 //!
 //! [refit]
@@ -30,9 +31,12 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::Target;
-use super::quantity::{Count, Length, Ratio, Rounds, Threads, Weight, as_written, write_size};
+use super::quantity::{
+    Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight, as_written, write_size,
+};
 use crate::budget::Size;
 use crate::cluster::Representative;
+use crate::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.
@@ -107,9 +111,45 @@ pub struct ClusterTable {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CollapseTable {
+    /// Which quadrics place and price.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quadrics: Option<Quadrics>,
+    /// Where merged vertices go.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub placement: Option<Placement>,
+    /// How much each face's plane counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weighting: Option<Weighting>,
     /// Weight of the constraint that holds open borders in place, as a factor of the squared edge length.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub boundary_weight: Option<Weight>,
+    /// Whether vertices on borders stay where they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lock_border: Option<bool>,
+    /// A list of points: the vertices nearest to them stay where they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lock_vertices: Option<PathBuf>,
+    /// Angle between the normals of an edge's faces from which on the edge is held.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub feature_angle: Option<Degrees>,
+    /// How strongly such edges are held.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub feature_weight: Option<Weight>,
+    /// Pieces smaller than this are dropped.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub min_component: Option<MinComponent>,
+    /// What tells that a face would fold over.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fold_check: Option<FoldCheck>,
+    /// Compactness below which faces are penalised.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub compactness: Option<Compactness>,
+    /// Penalty on vertices of many faces.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub valence_penalty: Option<Weight>,
+    /// Whether holes may close, handles vanish, pieces go.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topology: Option<Topology>,
 }
 
 /// `[refit]`
@@ -138,7 +178,24 @@ const KEYS: [(&str, &[&str]); 6] = [
     ("scan", &["input", "output", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch"]),
     ("cluster", &["representative"]),
-    ("collapse", &["boundary_weight"]),
+    (
+        "collapse",
+        &[
+            "quadrics",
+            "placement",
+            "weighting",
+            "boundary_weight",
+            "lock_border",
+            "lock_vertices",
+            "feature_angle",
+            "feature_weight",
+            "min_component",
+            "fold_check",
+            "compactness",
+            "valence_penalty",
+            "topology",
+        ],
+    ),
     ("refit", &["rounds"]),
     ("report", &["json", "verify"]),
 ];
@@ -176,9 +233,15 @@ impl JobFile {
         })
     }
 
+    /// Every key, whatever its table.
+    pub fn keys() -> impl Iterator<Item = &'static str> {
+        KEYS.iter().flat_map(|(_, keys)| keys.iter().copied())
+    }
+
     /// Rewrites every path.
     pub fn move_paths(&mut self, to: impl Fn(&Path) -> PathBuf) {
-        for path in [&mut self.scan.input, &mut self.scan.output].into_iter().chain(&mut self.run.scratch) {
+        let files = [&mut self.scan.input, &mut self.scan.output].into_iter();
+        for path in files.chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
             *path = to(path);
         }
     }
@@ -217,7 +280,8 @@ fn hint(message: &str) -> Option<String> {
     let mut words = message.split('`').skip(1).step_by(2);
     let wrong = words.next()?;
     let near = |word: &&str| strsim::damerau_levenshtein(wrong, word);
-    if let Some((table, _)) = KEYS.iter().find(|(_, keys)| keys.contains(&wrong)) {
+    let table = KEYS.iter().find(|(_, keys)| message.starts_with("unknown field") && keys.contains(&wrong));
+    if let Some((table, _)) = table {
         return Some(format!("`{wrong}` belongs under [{table}]"));
     }
     let best = words.min_by_key(near).filter(|word| near(word) <= 1 + word.len() / 4);

@@ -2,24 +2,27 @@
 
 mod comparison;
 mod file;
+mod points;
 mod quantity;
 
 pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
-pub use quantity::{Count, Length, Ratio, Rounds, Threads, Weight};
+pub use points::read_points;
+pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
+use crate::collapse::{Features, Placement, Policies};
 use crate::error::{Error, Result};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
 pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
 
-/// How strongly open borders are held when nothing is said.
-pub const DEFAULT_BOUNDARY_WEIGHT: f64 = 1.0;
+/// How strongly feature edges are held when nothing is said.
+pub const DEFAULT_FEATURE_WEIGHT: f64 = 1.0;
 
 /// Rounds of refit when nothing is said: the first one gives most, and takes about a tenth of the time.
 pub const DEFAULT_REFIT_ROUNDS: u32 = 1;
@@ -77,8 +80,10 @@ pub struct Job {
     pub scratch: Option<PathBuf>,
     /// How clustering places a cell's vertex.
     pub representative: Representative,
-    /// Weight of the constraint that holds open borders in place.
-    pub boundary_weight: f64,
+    /// How the collapse is steered; lengths are in the scan's units.
+    pub policies: Policies,
+    /// A list of points: the vertices nearest to them stay where they are.
+    pub lock_vertices: Option<PathBuf>,
     /// Rounds of refit.
     pub refit_rounds: u32,
     /// Whether the result is measured against the scan.
@@ -88,6 +93,16 @@ pub struct Job {
 impl JobFile {
     /// Fills in the defaults.
     pub fn resolve(self) -> Result<Job> {
+        let policies = self.collapse.policies();
+        let refit_rounds = match self.refit.rounds {
+            Some(Rounds(n)) if n > 0 && policies.placement == Placement::Endpoint => {
+                let what = "placement `endpoint` leaves vertices where they are in the scan, and refit moves them";
+                return Err(Error::usage(format!("{what}: say `refit` 0 or another placement")));
+            }
+            Some(Rounds(n)) => n,
+            None if policies.placement == Placement::Endpoint => 0,
+            None => DEFAULT_REFIT_ROUNDS,
+        };
         Ok(Job {
             target: self.scan.target().map_err(Error::usage)?,
             input: self.scan.input,
@@ -96,10 +111,54 @@ impl JobFile {
             threads: self.run.threads.map_or_else(cores, |Threads(n)| n),
             scratch: self.run.scratch,
             representative: self.cluster.representative.unwrap_or_default(),
-            boundary_weight: self.collapse.boundary_weight.map_or(DEFAULT_BOUNDARY_WEIGHT, |Weight(w)| w),
-            refit_rounds: self.refit.rounds.map_or(DEFAULT_REFIT_ROUNDS, |Rounds(n)| n),
+            policies,
+            lock_vertices: self.collapse.lock_vertices,
+            refit_rounds,
             verify: self.report.verify.unwrap_or(false),
         })
+    }
+}
+
+impl CollapseTable {
+    /// What was said, the rest by default.
+    fn policies(&self) -> Policies {
+        let usual = Policies::default();
+        Policies {
+            quadrics: self.quadrics.unwrap_or(usual.quadrics),
+            placement: self.placement.unwrap_or(usual.placement),
+            weighting: self.weighting.unwrap_or(usual.weighting),
+            boundary_weight: self.boundary_weight.map_or(usual.boundary_weight, |Weight(w)| w),
+            lock_border: self.lock_border.unwrap_or(usual.lock_border),
+            features: self.feature_angle.map(|Degrees(angle)| {
+                let weight = self.feature_weight.map_or(DEFAULT_FEATURE_WEIGHT, |Weight(w)| w);
+                Features { angle, weight }
+            }),
+            min_component: self.min_component.map(|MinComponent(least)| least),
+            fold_check: self.fold_check.unwrap_or(usual.fold_check),
+            compactness: self.compactness.map_or(usual.compactness, |Compactness(c)| c),
+            valence_penalty: self.valence_penalty.map_or(usual.valence_penalty, |Weight(w)| w),
+            topology: self.topology.unwrap_or(usual.topology),
+        }
+    }
+}
+
+impl From<Policies> for CollapseTable {
+    fn from(policies: Policies) -> Self {
+        CollapseTable {
+            quadrics: Some(policies.quadrics),
+            placement: Some(policies.placement),
+            weighting: Some(policies.weighting),
+            boundary_weight: Some(Weight(policies.boundary_weight)),
+            lock_border: Some(policies.lock_border),
+            lock_vertices: None,
+            feature_angle: policies.features.map(|features| Degrees(features.angle)),
+            feature_weight: policies.features.map(|features| Weight(features.weight)),
+            min_component: policies.min_component.map(MinComponent),
+            fold_check: Some(policies.fold_check),
+            compactness: Some(Compactness(policies.compactness)),
+            valence_penalty: Some(Weight(policies.valence_penalty)),
+            topology: Some(policies.topology),
+        }
     }
 }
 
@@ -134,7 +193,7 @@ impl Job {
                 scratch: Some(self.scratch_folder().into()),
             },
             cluster: ClusterTable { representative: Some(self.representative) },
-            collapse: CollapseTable { boundary_weight: Some(Weight(self.boundary_weight)) },
+            collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },
             refit: RefitTable { rounds: Some(Rounds(self.refit_rounds)) },
             report: ReportTable { verify: Some(self.verify), ..Default::default() },
         }
@@ -155,18 +214,30 @@ mod tests {
         assert_eq!((job.target, job.memory), (Target::Faces(140_000), Size(512 << 20)));
         assert!(job.threads >= 1);
         assert_eq!(job.scratch_folder(), Path::new("out"));
-        assert_eq!((job.representative, job.boundary_weight), (Representative::Quadric, 1.0));
+        assert_eq!((job.representative, job.policies), (Representative::Quadric, Policies::default()));
     }
 
     #[test]
     fn what_is_said_is_kept() {
         let job = job("ratio = '10%'\n[run]\nmemory = '1.5GiB'\nthreads = 3\nscratch = 's'\n[cluster]\n\
-                       representative = 'mean'\n[collapse]\nboundary_weight = 4\n[refit]\nrounds = 0");
+                       representative = 'mean'\n[collapse]\nboundary_weight = 4\nquadrics = 'accumulated'\n\
+                       placement = 'endpoint-or-midpoint'\nweighting = 'angle'\nlock_border = true\n\
+                       lock_vertices = 'horns.txt'\nfeature_angle = 40\nmin_component = 'area=0.5'\nfold_check = 'both'\n\
+                       compactness = 0.2\nvalence_penalty = 1\ntopology = 'preserve'\n[refit]\nrounds = 0");
         assert_eq!((job.target, job.memory, job.threads), (Target::Ratio(0.1), Size(3 << 29), 3));
-        assert_eq!((job.scratch_folder(), job.boundary_weight), (Path::new("s"), 4.0));
+        assert_eq!((job.scratch_folder(), job.policies.boundary_weight), (Path::new("s"), 4.0));
+        assert_eq!(job.policies.placement, Placement::EndpointOrMidpoint);
         assert_eq!(job.refit_rounds, 0);
         assert_eq!(job.representative, Representative::Mean);
         assert_eq!(job.said().resolve().unwrap(), job);
+    }
+
+    #[test]
+    fn vertices_that_stay_are_not_refitted() {
+        assert_eq!(job("faces = 9\n[collapse]\nplacement = 'endpoint'").refit_rounds, 0);
+        let both =
+            "[scan]\ninput = 'a'\noutput = 'b'\nfaces = 9\n[collapse]\nplacement = 'endpoint'\n[refit]\nrounds = 1";
+        assert_eq!(JobFile::parse(both).unwrap().resolve().unwrap_err().exit_code(), 2);
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::marker::PhantomData;
 use std::str::FromStr;
 
 use crate::budget::{MIB, Size};
+use crate::collapse::Least;
 
 /// A number of faces: `500k`, `2.5M`, `1G`, `140000` or `1_000`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -144,6 +145,63 @@ impl FromStr for Weight {
     }
 }
 
+/// An angle in degrees, above 0 and below 180.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(transparent)]
+pub struct Degrees(pub f64);
+
+impl FromStr for Degrees {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match number(text.trim()) {
+            Some(x) if x > 0.0 && x < 180.0 => Ok(Degrees(x)),
+            _ => Err(format!("`{text}` is not an angle above 0 and below 180 degrees")),
+        }
+    }
+}
+
+/// A compactness, from 0 (a line) to 1 (an equilateral triangle).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(transparent)]
+pub struct Compactness(pub f64);
+
+impl FromStr for Compactness {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match number(text.trim()) {
+            Some(x) if (0.0..=1.0).contains(&x) => Ok(Compactness(x)),
+            _ => Err(format!("`{text}` is not a compactness from 0 to 1")),
+        }
+    }
+}
+
+/// The least that a piece may be: so many faces, `100`, or `area=0.5` in the scan's units, squared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MinComponent(pub Least);
+
+impl FromStr for MinComponent {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim().strip_prefix("area=").map(|area| number(area.trim())) {
+            None => text.parse().map(|Count(n)| MinComponent(Least::Faces(n))),
+            Some(Some(area)) if area > 0.0 => Ok(MinComponent(Least::Area(area))),
+            Some(_) => Err(format!("`{text}` is not an area above 0: write it like area=0.5")),
+        }
+    }
+}
+
+impl Serialize for MinComponent {
+    fn serialize<S: Serializer>(&self, out: S) -> Result<S::Ok, S::Error> {
+        match self.0 {
+            Least::Faces(n) => out.serialize_u64(n),
+            Least::Area(area) => out.collect_str(&format_args!("area={area}")),
+        }
+    }
+}
+
 /// A finite number: `inf` and `nan` are none.
 fn number(text: &str) -> Option<f64> {
     text.parse().ok().filter(|x: &f64| x.is_finite())
@@ -231,6 +289,20 @@ mod tests {
         for text in ["0", "0%", "1.01", "101%", "-0.5", "-5%", "nan", "inf", "%", "half", ""] {
             assert!(text.parse::<Ratio>().is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn what_policies_take_keeps_its_bounds() {
+        assert_eq!("1k".parse(), Ok(MinComponent(Least::Faces(1000))));
+        assert_eq!("area=0.5".parse(), Ok(MinComponent(Least::Area(0.5))));
+        for text in ["area=0", "area=-1", "area=x", "0.5", "area", ""] {
+            assert!(text.parse::<MinComponent>().is_err(), "{text}");
+        }
+        for text in ["0", "180", "-5", "x"] {
+            assert!(text.parse::<Degrees>().is_err(), "{text}");
+        }
+        assert_eq!("0.5".parse(), Ok(Compactness(0.5)));
+        assert!("1.1".parse::<Compactness>().is_err() && "-0.1".parse::<Compactness>().is_err());
     }
 
     #[test]

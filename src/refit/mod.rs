@@ -50,11 +50,12 @@ const E: f32 = 1.0 - 2.0 * D;
 const F: f32 = 0.445_948_5;
 const G: f32 = 1.0 - 2.0 * F;
 
-/// Refits `mesh` to `reference` in so many rounds.
+/// Refits `mesh` to `reference` in so many rounds. Vertices that are `locked` stay where they are.
 pub fn refit<S: Coordinate>(
     mesh: &mut IndexedMesh<S>,
     reference: &Reference<S>,
     rounds: u32,
+    locked: &[u32],
     progress: &Progress,
 ) -> Result<()> {
     if reference.mesh.faces.len() < LEAST_RATIO * mesh.faces.len() || mesh.faces.is_empty() {
@@ -62,7 +63,8 @@ pub fn refit<S: Coordinate>(
     }
     let mut stars = Stars::default();
     stars.rebuild(&mesh.faces, mesh.positions.len());
-    let fixed = irregular(mesh, &stars);
+    let mut fixed = irregular(mesh, &stars);
+    locked.iter().for_each(|&v| fixed[v as usize] = true);
     let mut fine = Stars::default();
     if rounds > 1 {
         fine.rebuild(&reference.mesh.faces, reference.mesh.positions.len());

@@ -59,7 +59,7 @@ fn deviation(a: &IndexedMesh<f32>, b: &IndexedMesh<f32>) -> f64 {
 
 fn refitted(coarse: &IndexedMesh<f32>, reference: &Reference<f32>, rounds: u32) -> IndexedMesh<f32> {
     let mut mesh = coarse.clone();
-    refit(&mut mesh, reference, rounds, &Progress::default()).unwrap();
+    refit(&mut mesh, reference, rounds, &[], &Progress::default()).unwrap();
     mesh
 }
 
@@ -146,7 +146,7 @@ fn a_plane_and_a_mesh_that_is_hardly_reduced_stay_as_they_are() {
     }
     let (_, reference) = pair(hills);
     let mut same = reference.mesh.clone();
-    refit(&mut same, &reference, 2, &Progress::default()).unwrap();
+    refit(&mut same, &reference, 2, &[], &Progress::default()).unwrap();
     assert_eq!(same, reference.mesh);
 }
 
