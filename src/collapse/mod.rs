@@ -22,7 +22,7 @@
 //! | current plus 0.5 × learnt | 0.72 | 0.51 | 0.52 | 0.88 |
 //!
 //! A piece of the mesh (a connected component) is not flattened for next to nothing: its last collapse costs at least what
-//! deviation would say of its loss ([`pieces`]).
+//! deviation would say of its loss (`pieces`).
 //!
 //! **Promises.** Input as it comes: borders, non-manifold edges and vertices, coincident and zero-area faces. No face turns
 //! over unless the count cannot be reached otherwise ([`Collapsed::folded`]). The same mesh for any number of threads, since

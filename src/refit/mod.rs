@@ -5,12 +5,12 @@
 //! the target) find the faces that they are nearest to, and the vertices take the least-squares step towards them, as in Hoppe's
 //! mesh optimisation (the thesis's decoupled synthesis, §9.2). One round takes 15 to 30 % off E_avg.
 //!
-//! **A round.** [`samples`] → nearest faces, by a walk that starts where the collapse has put the sample's vertex
-//! ([`ground`]) → one block a face, a few steps of conjugate gradients ([`system`]) → steps that turn a face are halved
-//! until none does. From the second round on, edges flip first where that brings samples nearer ([`flip`]), and points of
+//! **A round.** `samples` → nearest faces, by a walk that starts where the collapse has put the sample's vertex
+//! (`ground`) → one block a face, a few steps of conjugate gradients (`system`) → steps that turn a face are halved
+//! until none does. From the second round on, edges flip first where that brings samples nearer (`flip`), and points of
 //! the result look for the reference too: faces that slide past the end of a thin part would else never be called back.
 //!
-//! **Promises.** No face turns by more than [`LEAST_COSINE`] in a round, none looks away from its samples; the count stays.
+//! **Promises.** No face turns by more than `LEAST_COSINE` allows in a round, none looks away from its samples; the count stays.
 //! Borders and what is not manifold stay where they are. The same mesh for any number of threads.
 //!
 //! **Memory.** The reference is 12 bytes a face and 16 a vertex, its samples 24 a face; the result takes 150 a face. At a
