@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use meshmill::budget::Size;
 use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use meshmill::job::{
-    CollapseTable, Compactness, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable, ReportTable, Rounds,
-    RunTable, ScanTable, Threads, Weight,
+    CollapseTable, Compactness, Count, Degrees, JobFile, Length, MinComponent, Pairs, Ratio, RefitTable, ReportTable,
+    Rounds, RunTable, ScanTable, Threads, Weight,
 };
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
@@ -146,6 +146,10 @@ struct CollapseArgs {
     /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
     #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
     topology: Option<Topology>,
+
+    /// Vertices of different pieces, or on borders, may merge when closer than this: a length, or auto
+    #[arg(long, value_name = "LENGTH|auto", allow_negative_numbers = true)]
+    pair_distance: Option<Pairs>,
 }
 
 /// One of the words that a job file takes.
@@ -219,6 +223,7 @@ impl From<CollapseArgs> for CollapseTable {
             compactness: args.compactness,
             valence_penalty: args.valence_penalty,
             topology: args.topology,
+            pair_distance: args.pair_distance,
         }
     }
 }

@@ -35,6 +35,7 @@ mod classify;
 mod commit;
 mod groups;
 mod hold;
+mod join;
 mod pairs;
 mod penalty;
 mod pieces;
@@ -46,7 +47,7 @@ mod weigh;
 
 pub use classify::Irregularities;
 pub use pieces::Dropped;
-pub use policy::{Features, FoldCheck, Least, Placement, Policies, Quadrics, Topology, Weighting};
+pub use policy::{Features, FoldCheck, Least, PairDistance, Placement, Policies, Quadrics, Topology, Weighting};
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
@@ -138,6 +139,10 @@ const PAIRS_SLACK: f64 = 1.5;
 /// hundred faces are asked for, each matters, and 1,000 take about 10 ms.
 const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
+
+/// Faces that are left to the heap at least where it joins pieces, since rounds know edges only; for more than ten times the
+/// target no piece is worth joining yet.
+const JOINING_FACES: usize = 50_000;
 
 /// Where a round of groups removes fewer than one face in this many, pairs go on.
 const GROUPS_STALL: usize = 10;
@@ -242,7 +247,10 @@ struct Rounds<'a, S> {
 impl<'a, S: Coordinate> Rounds<'a, S> {
     fn new(options: &'a Options<'a>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
-        let tail = TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize);
+        let tail = match options.policies.pair_distance {
+            None => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
+            Some(_) => JOINING_FACES.max(options.target.saturating_mul(LAST_FACTOR - 1)),
+        };
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
         Rounds { options, batch: Batch::new(), floor, reference: None, count: 0, paired: bounded, stalled: false }
     }

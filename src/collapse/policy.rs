@@ -29,6 +29,8 @@ pub struct Policies {
     pub valence_penalty: f64,
     /// Whether holes may close, handles vanish, pieces go.
     pub topology: Topology,
+    /// How close two vertices without an edge must be to merge all the same; `None` where only edges collapse.
+    pub pair_distance: Option<PairDistance>,
 }
 
 impl Default for Policies {
@@ -45,6 +47,7 @@ impl Default for Policies {
             compactness: 0.0,
             valence_penalty: 0.0,
             topology: Topology::default(),
+            pair_distance: None,
         }
     }
 }
@@ -124,6 +127,15 @@ pub enum FoldCheck {
     Off,
 }
 
+/// How close vertices of different pieces, or on borders, must be to merge without an edge between them (thesis §3.2.1).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PairDistance {
+    /// Closer than this: τ.
+    Within(f64),
+    /// Closer than the mean length of the edges at one of them.
+    Auto,
+}
+
 /// What the collapse may do to topology.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -157,7 +169,11 @@ impl Policies {
             Least::Area(area) => Least::Area(frame.to_frame(frame.to_frame(area))),
             faces => faces,
         };
-        Policies { min_component: self.min_component.map(least), ..self }
+        let pair_distance = self.pair_distance.map(|distance| match distance {
+            PairDistance::Within(distance) => PairDistance::Within(frame.to_frame(distance)),
+            PairDistance::Auto => PairDistance::Auto,
+        });
+        Policies { min_component: self.min_component.map(least), pair_distance, ..self }
     }
 
     /// A policy that needs the scan itself: clusters have merged its vertices by area, wherever they lay.

@@ -2,7 +2,8 @@
 
 use super::Options;
 use super::batch::{NONE, order};
-use super::surface::{Around, KEPT, Surface};
+use super::join::Joins;
+use super::surface::{Around, KEPT, REFUSED, Surface};
 use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::{Coordinate, Reference, widen};
 use crate::{Result, progress::Progress};
@@ -56,10 +57,11 @@ pub(super) fn finish<S: Coordinate>(
     reference: Option<&mut Reference<S>>,
     progress: &Progress,
 ) -> Result<End> {
+    let joins = options.policies.pair_distance.map_or(Joins::default(), |distance| Joins::find(surface, distance));
     let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
     let left = surface.faces.len();
     let becomes = (0..surface.positions.len() as u32).collect();
-    let mut tail = Tail { becomes, left, surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, options };
+    let mut tail = Tail { becomes, left, surface, overlay, joins, heap: BinaryHeap::new(), error_sq: 0.0, options };
     let mut need = Need::None;
     let mut folded = false;
     while tail.left > options.target {
@@ -94,6 +96,7 @@ pub(super) fn finish<S: Coordinate>(
 struct Tail<'a, S> {
     surface: &'a mut Surface<S>,
     overlay: Overlay,
+    joins: Joins,
     heap: BinaryHeap<Entry>,
     /// The vertex that each one was merged into, or itself.
     becomes: Vec<u32>,
@@ -117,12 +120,22 @@ impl<S: Coordinate> Tail<'_, S> {
                 }
             }
         }
+        entries.extend(self.joins.pairs().map(|(a, b)| self.entry(a, b)));
         self.heap = BinaryHeap::from(entries);
     }
 
     fn entry(&self, a: u32, b: u32) -> Entry {
-        let cost = self.surface.cost(&self.overlay, a, b, self.options);
+        let cost = match self.joined(a, b) {
+            false => self.surface.cost(&self.overlay, a, b, self.options),
+            // That ends no piece.
+            true => (self.surface.candidate(&self.overlay, a, b, self.options).cost as f32).min(REFUSED),
+        };
         Reverse((cost.to_bits(), order(a, b)))
+    }
+
+    /// Whether two vertices may merge without an edge between them.
+    fn joined(&self, a: u32, b: u32) -> bool {
+        self.joins.of(a).contains(&b) && self.surface.shared(&self.overlay, a, b).next().is_none()
     }
 
     fn alive(&self, v: u32) -> bool {
@@ -141,7 +154,7 @@ impl<S: Coordinate> Tail<'_, S> {
             }
             let Some(Reverse((cost, (_, a, b)))) = self.heap.pop() else { return Ok(()) };
             let shared = self.surface.shared(&self.overlay, a, b).count();
-            if shared == 0 || !self.alive(a) || !self.alive(b) {
+            if shared == 0 && !self.joined(a, b) || !self.alive(a) || !self.alive(b) {
                 continue;
             }
             let now = self.entry(a, b);
@@ -180,6 +193,8 @@ impl<S: Coordinate> Tail<'_, S> {
         let marks = self.surface.mark(b) & KEPT;
         self.surface.marks[v].fetch_or(marks, Relaxed);
         self.becomes[b as usize] = a;
+        self.surface.pieces.join(a, b);
+        self.joins.merge(a, b);
         self.rewire(a, b);
         self.refresh(a);
         true
@@ -232,6 +247,7 @@ impl<S: Coordinate> Tail<'_, S> {
             let form = self.surface.form_around(&self.overlay, u, self.options);
             self.surface.current[u as usize] = form.a.map(|x| x as f32);
         }
+        ring.extend_from_slice(self.joins.of(v));
         for u in ring {
             let entry = self.entry(v, u);
             self.heap.push(entry);

@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 
 use super::Target;
 use super::quantity::{
-    Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight, as_written, write_size,
+    Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight, as_written, write_size,
 };
 use crate::budget::Size;
 use crate::cluster::Representative;
@@ -149,6 +149,9 @@ pub struct CollapseTable {
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
+    /// How close vertices without an edge must be to merge all the same.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub pair_distance: Option<Pairs>,
 }
 
 /// `[refit]`
@@ -190,6 +193,7 @@ const KEYS: [(&str, &[&str]); 6] = [
             "compactness",
             "valence_penalty",
             "topology",
+            "pair_distance",
         ],
     ),
     ("refit", &["rounds"]),

@@ -6,14 +6,14 @@ mod quantity;
 
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
 pub use points::read_points;
-pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight};
+pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
-use crate::collapse::{Features, Placement, Policies};
+use crate::collapse::{Features, Placement, Policies, Topology};
 use crate::error::{Error, Result};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
@@ -90,6 +90,12 @@ impl JobFile {
     /// Fills in the defaults.
     pub fn resolve(self) -> Result<Job> {
         let policies = self.collapse.policies();
+        if policies.pair_distance.is_some()
+            && (self.scan.max_error.is_some() || policies.topology == Topology::Preserve)
+        {
+            let what = "a pair distance joins pieces on the way to a count of faces";
+            return Err(Error::usage(format!("{what}: it goes with neither `max_error` nor topology `preserve`")));
+        }
         let refit_rounds = match self.refit.rounds {
             Some(Rounds(n)) if n > 0 && policies.placement == Placement::Endpoint => {
                 let what = "placement `endpoint` leaves vertices where they are in the scan, and refit moves them";
@@ -133,6 +139,7 @@ impl CollapseTable {
             compactness: self.compactness.map_or(usual.compactness, |Compactness(c)| c),
             valence_penalty: self.valence_penalty.map_or(usual.valence_penalty, |Weight(w)| w),
             topology: self.topology.unwrap_or(usual.topology),
+            pair_distance: self.pair_distance.map(|Pairs(distance)| distance),
         }
     }
 }
@@ -153,6 +160,7 @@ impl From<Policies> for CollapseTable {
             compactness: Some(Compactness(policies.compactness)),
             valence_penalty: Some(Weight(policies.valence_penalty)),
             topology: Some(policies.topology),
+            pair_distance: policies.pair_distance.map(Pairs),
         }
     }
 }
