@@ -29,7 +29,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Reduce one scan
-    Reduce(ReduceArgs),
+    Reduce(Box<ReduceArgs>),
     /// Reduce what a job file says
     Run(RunArgs),
     /// Make a realistic scan of any size

@@ -13,7 +13,7 @@ pub struct Policies {
     /// How much each face's plane counts.
     pub weighting: Weighting,
     /// Weight of border edges against area: a border edge's squared length times this is the weight of the squared distance
-    /// to its line. 0 lets borders shrink, 10 costs 45 % of E_avg on the bunny.
+    /// to its line. 0 lets borders shrink (4 times E_avg on a terrain), 10 costs 3 % of E_avg on the bunny.
     pub boundary_weight: f64,
     /// Whether vertices on borders stay where they are.
     pub lock_border: bool,
@@ -130,7 +130,8 @@ pub enum FoldCheck {
 /// How close vertices of different pieces, or on borders, must be to merge without an edge between them (thesis §3.2.1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PairDistance {
-    /// Closer than this: τ.
+    /// Closer than this: τ. The bones of a foot at 250 faces, by accumulated quadrics, have 0.6 of the E_avg that they have
+    /// without at a τ of 0.8 % of the diagonal, and no less at 1.2 %: the choice matters.
     Within(f64),
     /// Closer than the mean length of the edges at one of them.
     Auto,

@@ -531,5 +531,5 @@ fn noise_goes_before_shape() {
     let accumulated = Policies { quadrics: Quadrics::Accumulated, ..Default::default() };
     let off = |faces| off_cube(&reduce_by(&scan, faces, accumulated).mesh);
     let (all, some, few) = (off_cube(&scan), off(2000), off(200));
-    assert!(some < 0.8 * all && few < 0.8 * all, "{all} of the scan, {some} at 2000 faces, {few} at 200");
+    assert!(some < all && few < 0.6 * all, "{all} of the scan, {some} at 2000 faces, {few} at 200");
 }
