@@ -4,7 +4,7 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
-use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
+use meshmill::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use meshmill::job::{
     CollapseTable, Compactness, Count, Degrees, JobFile, Length, MinComponent, Pairs, Ratio, RefitTable, ReportTable,
     Rounds, RunTable, ScanTable, Threads, Weight,
@@ -150,6 +150,10 @@ struct CollapseArgs {
     /// Vertices of different pieces, or on borders, may merge when closer than this: a length, or auto
     #[arg(long, value_name = "LENGTH|auto", allow_negative_numbers = true)]
     pair_distance: Option<Pairs>,
+
+    /// What collapses within ten times the target: edge or face [default: edge]
+    #[arg(long, value_name = "WHICH", value_parser = word::<Primitive>)]
+    primitive: Option<Primitive>,
 }
 
 /// One of the words that a job file takes.
@@ -224,6 +228,7 @@ impl From<CollapseArgs> for CollapseTable {
             valence_penalty: args.valence_penalty,
             topology: args.topology,
             pair_distance: args.pair_distance,
+            primitive: args.primitive,
         }
     }
 }

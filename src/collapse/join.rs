@@ -51,6 +51,11 @@ impl Joins {
         joins
     }
 
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     fn add(&mut self, v: u32, u: u32) {
         for (v, u) in [(v, u), (u, v)] {
             let partners = self.0.entry(v).or_default();

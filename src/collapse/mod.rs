@@ -33,6 +33,7 @@ mod batch;
 mod check;
 mod classify;
 mod commit;
+mod faces;
 mod groups;
 mod hold;
 mod join;
@@ -47,7 +48,9 @@ mod weigh;
 
 pub use classify::Irregularities;
 pub use pieces::Dropped;
-pub use policy::{Features, FoldCheck, Least, PairDistance, Placement, Policies, Quadrics, Topology, Weighting};
+pub use policy::{
+    Features, FoldCheck, Least, PairDistance, Placement, Policies, Primitive, Quadrics, Topology, Weighting,
+};
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
@@ -140,9 +143,9 @@ const PAIRS_SLACK: f64 = 1.5;
 const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
 
-/// Faces that are left to the heap at least where it joins pieces, since rounds know edges only; for more than ten times the
-/// target no piece is worth joining yet.
-const JOINING_FACES: usize = 50_000;
+/// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for more
+/// than ten times the target neither matters yet.
+const SERIAL_FACES: usize = 50_000;
 
 /// Where a round of groups removes fewer than one face in this many, pairs go on.
 const GROUPS_STALL: usize = 10;
@@ -247,9 +250,9 @@ struct Rounds<'a, S> {
 impl<'a, S: Coordinate> Rounds<'a, S> {
     fn new(options: &'a Options<'a>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
-        let tail = match options.policies.pair_distance {
-            None => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
-            Some(_) => JOINING_FACES.max(options.target.saturating_mul(LAST_FACTOR - 1)),
+        let tail = match options.policies.ends_serially() {
+            false => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
+            true => SERIAL_FACES.max(options.target.saturating_mul(LAST_FACTOR - 1)),
         };
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
         Rounds { options, batch: Batch::new(), floor, reference: None, count: 0, paired: bounded, stalled: false }

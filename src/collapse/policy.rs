@@ -31,6 +31,8 @@ pub struct Policies {
     pub topology: Topology,
     /// How close two vertices without an edge must be to merge all the same; `None` where only edges collapse.
     pub pair_distance: Option<PairDistance>,
+    /// What collapses.
+    pub primitive: Primitive,
 }
 
 impl Default for Policies {
@@ -48,6 +50,7 @@ impl Default for Policies {
             valence_penalty: 0.0,
             topology: Topology::default(),
             pair_distance: None,
+            primitive: Primitive::default(),
         }
     }
 }
@@ -127,6 +130,17 @@ pub enum FoldCheck {
     Off,
 }
 
+/// What collapses at a time, within ten times the target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Primitive {
+    /// An edge: its two ends.
+    #[default]
+    Edge,
+    /// A face: its three corners (thesis §3.8).
+    Face,
+}
+
 /// How close vertices of different pieces, or on borders, must be to merge without an edge between them (thesis §3.2.1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PairDistance {
@@ -156,6 +170,11 @@ impl Policies {
             || self.fold_check != FoldCheck::Normals
             || self.penalises()
             || self.topology == Topology::Preserve
+    }
+
+    /// Whether the heap does more than edges, and begins sooner.
+    pub(super) fn ends_serially(&self) -> bool {
+        self.pair_distance.is_some() || self.primitive == Primitive::Face
     }
 
     /// Whether there are penalties.

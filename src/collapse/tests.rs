@@ -288,6 +288,13 @@ fn policies() -> Vec<Policies> {
         Policies { fold_check: FoldCheck::Both, min_component: Some(Least::Faces(9)), ..usual },
         Policies { topology: Topology::Preserve, ..usual },
         Policies { pair_distance: Some(PairDistance::Auto), ..usual },
+        Policies { primitive: Primitive::Face, ..usual },
+        Policies {
+            primitive: Primitive::Face,
+            quadrics: Quadrics::Accumulated,
+            placement: Placement::Endpoint,
+            ..usual
+        },
     ]
 }
 

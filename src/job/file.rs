@@ -35,7 +35,7 @@ use super::quantity::{
 };
 use crate::budget::Size;
 use crate::cluster::Representative;
-use crate::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
+use crate::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.
@@ -152,6 +152,9 @@ pub struct CollapseTable {
     /// How close vertices without an edge must be to merge all the same.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub pair_distance: Option<Pairs>,
+    /// What collapses at a time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub primitive: Option<Primitive>,
 }
 
 /// `[refit]`
@@ -194,6 +197,7 @@ const KEYS: [(&str, &[&str]); 6] = [
             "valence_penalty",
             "topology",
             "pair_distance",
+            "primitive",
         ],
     ),
     ("refit", &["rounds"]),
