@@ -94,6 +94,11 @@ impl JobFile {
     /// Fills in the defaults.
     pub fn resolve(self) -> Result<Job> {
         let policies = self.collapse.policies();
+        if self.collapse.feature_weight.is_some() && self.collapse.feature_angle.is_none() {
+            return Err(Error::usage(
+                "`feature_weight` says how strongly edges are held: say `feature_angle`, from which on",
+            ));
+        }
         let serial = policies.pair_distance.is_some() || policies.primitive == Primitive::Face;
         if serial && (self.scan.max_error.is_some() || policies.topology == Topology::Preserve) {
             let what = "a pair distance and primitive `face` work on the way to a count of faces";
@@ -251,6 +256,7 @@ mod tests {
         for policies in [
             "faces = 9\n[collapse]\npair_distance = 'auto'\ntopology = 'preserve'",
             "max_error = 9\n[collapse]\npair_distance = 0.5",
+            "faces = 9\n[collapse]\nfeature_weight = 3",
             "max_error = 9\n[collapse]\nprimitive = 'face'",
             "faces = 9\n[collapse]\nprimitive = 'face'\ncompactness = 0.5",
         ] {

@@ -12,6 +12,7 @@ mod models;
 mod oddities;
 mod precision;
 mod support;
+mod uneven;
 
 /// A budget in which scans of 100,000 faces and more go out of core.
 const TIGHT: &str = "24MiB";
