@@ -12,6 +12,7 @@ use meshmill::mesh::Tree;
 use meshmill::pipeline::reduce;
 use meshmill::progress::Progress;
 use meshmill::read::{Crew, Scan};
+use meshmill::write::Format;
 use meshmill::scratch::Scratch;
 use scan::{Files, group, loaded, on_threads, only_tried, open};
 use std::path::Path;
@@ -54,10 +55,12 @@ fn reduced(files: &Files) -> Scan {
     let job = Job {
         input: files.ply.clone(),
         output: output.clone(),
+        format: Format::Ply,
         target: Target::Faces(files.faces / 100),
         memory: Size(512 * MIB),
         threads: 2,
         scratch: None,
+        scratch_quota: Size(64 << 30),
         representative: Representative::Quadric,
         policies: Default::default(),
         lock_vertices: None,

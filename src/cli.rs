@@ -9,6 +9,7 @@ use meshmill::job::{
     CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable,
     ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
 };
+use meshmill::write::{Format, is_stdout};
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
@@ -41,13 +42,17 @@ pub enum Command {
 /// `meshmill reduce`
 #[derive(Debug, Args)]
 pub struct ReduceArgs {
-    /// The scan: PLY or STL, binary or ASCII
+    /// The scan: PLY, STL, OBJ, OFF, GLB or glTF 2, also as .gz or .zst; - for standard input
     #[arg(value_name = "IN")]
     input: PathBuf,
 
-    /// The mesh to write, binary: .ply or .stl
+    /// The mesh to write: .ply, .stl, .obj or .glb; - for standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+
+    /// Write ply, ply-ascii, stl, obj, glb or glb-quantised [default: by OUT's extension; ply to standard output]
+    #[arg(long, value_name = "WHICH", value_parser = word::<Format>)]
+    format: Option<Format>,
 
     #[command(flatten)]
     target: TargetArgs,
@@ -67,9 +72,13 @@ pub struct ReduceArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     threads: Option<Threads>,
 
-    /// Folder for spills [default: OUT's folder]
+    /// Folder for spills and for what is unpacked [default: OUT's folder]
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
+
+    /// The most that may be in that folder at one time [default: 256GiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    scratch_quota: Option<Size>,
 
     /// Measure the result against the scan, as `compare` does, and report it; with --max-error, exit with 1 where the
     /// measured distance is larger
@@ -179,7 +188,7 @@ pub struct RunArgs {
 /// `meshmill compare`
 #[derive(Debug, Args)]
 pub struct CompareArgs {
-    /// The mesh whose diagonal shares are of, such as a scan: PLY or STL, binary or ASCII
+    /// The mesh whose diagonal shares are of, such as a scan, in any format that `reduce` reads
     #[arg(value_name = "A")]
     a: PathBuf,
 
@@ -207,9 +216,13 @@ pub struct CompareArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     threads: Option<Threads>,
 
-    /// Folder for spills [default: the heat map's folder, or the one the program runs in]
+    /// Folder for spills and for what is unpacked [default: the heat map's folder, or the one the program runs in]
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
+
+    /// The most that may be in that folder at one time [default: 256GiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    scratch_quota: Option<Size>,
 
     /// Write the smaller mesh with the deviation of its vertices as colours and as a property, binary PLY
     #[arg(long, value_name = "OUT.ply")]
@@ -223,7 +236,7 @@ pub struct CompareArgs {
 /// `meshmill synth`
 #[derive(Debug, Args)]
 pub struct SynthArgs {
-    /// The scan to write, binary: .ply or .stl
+    /// The scan to write, binary: .ply or .stl; - for standard output
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
 
@@ -240,10 +253,18 @@ pub struct SynthArgs {
     pub json: bool,
 }
 
+impl CompareArgs {
+    /// Whether the heat map goes to standard output.
+    pub fn shades_to_stdout(&self) -> bool {
+        self.heatmap.as_deref().is_some_and(is_stdout)
+    }
+}
+
 impl From<CompareArgs> for ComparisonSaid {
     fn from(args: CompareArgs) -> Self {
-        let CompareArgs { a, b, samples, every_vertex, seed, memory, threads, scratch, heatmap, json: _ } = args;
-        ComparisonSaid { a, b, samples, every_vertex, seed, memory, threads, scratch, heatmap }
+        let CompareArgs { a, b, samples, every_vertex, seed, memory, threads, scratch, .. } = args;
+        let CompareArgs { scratch_quota, heatmap, .. } = args;
+        ComparisonSaid { a, b, samples, every_vertex, seed, memory, threads, scratch, scratch_quota, heatmap }
     }
 }
 
@@ -251,8 +272,13 @@ impl From<ReduceArgs> for JobFile {
     fn from(args: ReduceArgs) -> Self {
         let TargetArgs { faces, ratio, max_error } = args.target;
         JobFile {
-            scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
-            run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
+            scan: ScanTable { input: args.input, output: args.output, format: args.format, faces, ratio, max_error },
+            run: RunTable {
+                memory: args.memory,
+                threads: args.threads,
+                scratch: args.scratch,
+                scratch_quota: args.scratch_quota,
+            },
             collapse: args.collapse.into(),
             refit: RefitTable { rounds: args.refit },
             report: ReportTable { json: Some(args.json), verify: Some(args.verify) },

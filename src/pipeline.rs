@@ -26,12 +26,13 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
-        let out = write::Target::prepare(&job.output, Some(&job.input))?;
-        let scan = Scan::open(&job.input, progress)?;
+        let out = write::Target::prepare_as(&job.output, job.format, Some(&job.input))?;
+        let scratch = job.scratch();
+        let scan = Scan::open_in(&job.input, &scratch, progress)?;
         let asked = job.target.faces(scan.triangle_count());
         let purse = Purse::new(job.memory.0, threads, asked, job.refit_rounds > 0);
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
-        let run = Run { job, threads, progress, scan: &scan, purse, begun, locked };
+        let run = Run { job, threads, progress, scan: &scan, scratch, purse, begun, locked };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
@@ -54,6 +55,7 @@ struct Run<'a> {
     threads: usize,
     progress: &'a Progress,
     scan: &'a Scan,
+    scratch: Scratch,
     purse: Purse,
     begun: Instant,
     /// Points in the scan's units: the vertices nearest to them stay.
@@ -118,17 +120,17 @@ impl Run<'_> {
         let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
         out.write_mesh(&mesh, frame, self.progress)?;
         seconds.write = clock.lap();
-        let (mode, cells, ratio, mut scratch_bytes) = match &source {
-            Source::Loaded(_) => (Mode::InCore, None, None, 0),
+        let (mode, cells, ratio) = match &source {
+            Source::Loaded(_) => (Mode::InCore, None, None),
             Source::Clustered(stats) => {
                 let ratio = faces as f64 / output.faces.max(1) as f64;
-                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
+                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio))
             }
         };
         drop(mesh);
         let mut deviation = None;
         if self.job.verify {
-            deviation = Some(self.verify(&mut scratch_bytes)?);
+            deviation = Some(self.verify()?);
             seconds.measure = clock.lap();
         }
         seconds.total = self.begun.elapsed().as_secs_f64();
@@ -146,7 +148,7 @@ impl Run<'_> {
             threads: self.threads,
             memory_budget_bytes: self.job.memory.0,
             peak_rss_bytes: peak_rss_bytes(),
-            scratch_bytes,
+            scratch_bytes: self.scratch.bytes(),
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
             deviation,
@@ -193,8 +195,7 @@ impl Run<'_> {
                 limit,
             };
             self.progress.begin(Stage::Cluster, 0);
-            let scratch = Scratch::in_folder(self.job.scratch_folder());
-            let clustered = cluster::<S>(self.scan, &crew, &scratch, &options)?;
+            let clustered = cluster::<S>(self.scan, &crew, &self.scratch, &options)?;
             if clustered.stats.repeated_corner_faces == self.scan.triangle_count() {
                 return Err(Error::input(self.scan.path(), "has no usable face: none has three distinct corners"));
             }
@@ -242,11 +243,9 @@ impl Run<'_> {
     }
 
     /// Measures the file that was written.
-    fn verify(&self, scratch_bytes: &mut u64) -> Result<DeviationFigures> {
-        let scratch = Scratch::in_folder(self.job.scratch_folder());
-        let found = compare::verify(self.scan, &self.job.output, &self.purse, &scratch, self.progress)
+    fn verify(&self) -> Result<DeviationFigures> {
+        let found = compare::verify(self.scan, &self.job.output, &self.purse, &self.scratch, self.progress)
             .map_err(|error| self.unverified(error))?;
-        *scratch_bytes = scratch.bytes().max(*scratch_bytes);
         Ok((&found).into())
     }
 

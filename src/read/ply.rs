@@ -9,7 +9,8 @@ use super::ascii::Ascii;
 use super::cursor::Cursor;
 use super::map::Input;
 use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord};
-use super::ply_header::{self, Element, Role, Shape};
+use super::attribute::Attribute;
+use super::ply_header::{self, Element, Header, Role, Shape};
 use super::ply_records::{Counted, Records};
 use super::stream::{CHUNK, Crew, Run, pump_decoded};
 use super::{Format, TriangleChunk, VertexChunk};
@@ -45,7 +46,11 @@ pub(super) struct Ply {
 impl Ply {
     /// Reads the header, checks it against the size of the file, and finds and counts what it does not say.
     pub fn open(input: &Input, progress: &Progress) -> Result<Self> {
-        let header = ply_header::read(input)?;
+        Self::with_header(input, progress, ply_header::read(input)?)
+    }
+
+    /// Checks a header, of this format or one that has the same records.
+    pub fn with_header(input: &Input, progress: &Progress, header: Header) -> Result<Self> {
         let find = |kind| header.elements.iter().position(|e| e.kind == kind);
         let refuse = |what: &str| Error::input(input.path(), what);
         let vertex = find("vertex").ok_or_else(|| refuse("has no vertex: the header names no element `vertex`"))?;
@@ -247,6 +252,11 @@ impl Ply {
             (Role::Axis(_), Shape::Scalar(kind)) => kind.fits_f32(),
             _ => true,
         })
+    }
+
+    /// What vertices and faces carry beside positions and corners.
+    pub fn attributes(&self) -> Vec<Attribute> {
+        [self.vertex.attributes(), self.face.attributes()].concat()
     }
 
     /// What the format is called.

@@ -36,7 +36,7 @@ impl Stl {
             _ => None,
         };
         let size = promised.map(|n| HEAD_BYTES + n * FACE_BYTES as u64);
-        let named_stl = input.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("stl"));
+        let named_stl = super::has_extension(input.path(), "stl");
         match (promised, size) {
             (Some(faces), Some(size)) if size == input.len() => Self::binary(input, faces, 0),
             _ if stl_ascii::looks_like_text(input)? => {
@@ -49,6 +49,13 @@ impl Stl {
             (Some(faces), Some(size)) if named_stl => Err(truncated(input, faces, size)),
             _ => Err(foreign(input)),
         }
+    }
+
+    /// Whether a file is exactly as long as its count of faces says, which nothing but a binary STL is.
+    pub fn fits(input: &Input, head: &[u8]) -> bool {
+        let count = head.get(80..84).and_then(|count| count.first_chunk());
+        let faces = count.map(|count| u64::from(u32::from_le_bytes(*count)));
+        faces.is_some_and(|n| n > 0 && HEAD_BYTES + n * FACE_BYTES as u64 == input.len())
     }
 
     fn binary(input: &Input, faces: u64, trailing: u64) -> Result<Self> {
@@ -135,5 +142,5 @@ fn truncated(input: &Input, faces: u64, size: u64) -> Error {
 }
 
 fn foreign(input: &Input) -> Error {
-    Error::input(input.path(), "is neither a PLY nor an STL file")
+    Error::input(input.path(), "is not a mesh as PLY, STL, OBJ, OFF or glTF have it")
 }

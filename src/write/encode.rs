@@ -1,6 +1,6 @@
-//! Bytes of binary PLY and binary STL: headers and records.
+//! Bytes of every format: headers, and records of binary PLY and STL; `text` and `glb` have the others.
 
-use super::{Format, Sink};
+use super::{Format, Sink, glb, text};
 use crate::error::{Error, Result};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use glam::DVec3;
@@ -25,16 +25,20 @@ impl Header {
     pub(crate) fn bytes(&self, path: &Path) -> Result<Vec<u8>> {
         let largest = u64::from(u32::MAX);
         let (what, count, remedy) = match self.format {
-            Format::Ply => ("vertices", self.vertices, ""),
+            Format::Ply | Format::PlyAscii => ("vertices", self.vertices, ""),
             Format::Stl => ("faces", self.faces, "; PLY holds more"),
+            // They have no counts, or are refused for their length before these are reached.
+            Format::Obj | Format::Glb | Format::GlbQuantised => ("vertices", 0, ""),
         };
         if count > largest {
             let what = format!("{}: {count} {what} are asked, but its format holds {largest}{remedy}", path.display());
             return Err(Error::usage(what));
         }
         Ok(match self.format {
-            Format::Ply => self.ply().into_bytes(),
+            Format::Ply | Format::PlyAscii => self.ply().into_bytes(),
             Format::Stl => self.stl(count as u32),
+            Format::Obj => format!("# meshmill {}\n", env!("CARGO_PKG_VERSION")).into_bytes(),
+            Format::Glb | Format::GlbQuantised => Vec::new(),
         })
     }
 
@@ -42,8 +46,9 @@ impl Header {
         let scalar = if self.double { "double" } else { "float" };
         // Readers that know `int` alone are many; `uint` only where it must be.
         let index = if self.vertices > 1 << 31 { "uint" } else { "int" };
+        let encoding = if self.format == Format::PlyAscii { "ascii" } else { "binary_little_endian" };
         format!(
-            "ply\nformat binary_little_endian 1.0\ncomment meshmill {}\n\
+            "ply\nformat {encoding} 1.0\ncomment meshmill {}\n\
              element vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n\
              element face {}\nproperty list uchar {index} vertex_indices\nend_header\n",
             env!("CARGO_PKG_VERSION"),
@@ -60,11 +65,13 @@ impl Header {
         bytes
     }
 
-    /// Size of the elements in bytes.
+    /// Size of the elements in bytes; of a text, about.
     pub(crate) fn element_bytes(&self) -> u64 {
         match self.format {
             Format::Ply => self.vertices * if self.double { 24 } else { 12 } + self.faces * 13,
             Format::Stl => self.faces * 50,
+            Format::PlyAscii | Format::Obj => self.vertices * text::VERTEX_BYTES + self.faces * text::FACE_BYTES,
+            Format::Glb | Format::GlbQuantised => glb::element_bytes(self.format, self.vertices, self.faces),
         }
     }
 }
@@ -124,6 +131,8 @@ pub(crate) fn encode<S: Coordinate, W: Write>(
     match header.format {
         Format::Ply => ply(mesh, frame, sink),
         Format::Stl => stl(mesh, frame, path, sink),
+        Format::PlyAscii | Format::Obj => text::elements(mesh, frame, header.format, sink),
+        Format::Glb | Format::GlbQuantised => glb::encode(mesh, frame, header.format, path, sink),
     }
 }
 
