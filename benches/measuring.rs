@@ -12,8 +12,8 @@ use meshmill::mesh::Tree;
 use meshmill::pipeline::reduce;
 use meshmill::progress::Progress;
 use meshmill::read::{Crew, Scan};
-use meshmill::write::Format;
 use meshmill::scratch::Scratch;
+use meshmill::write::Format;
 use scan::{Files, group, loaded, on_threads, only_tried, open};
 use std::path::Path;
 

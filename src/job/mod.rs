@@ -113,7 +113,9 @@ impl JobFile {
         if is_stdout(&self.scan.output) {
             let taken = [(self.report.json, "the report in JSON"), (self.report.verify, "what `verify` measures")];
             if let Some((_, what)) = taken.into_iter().find(|(asked, _)| *asked == Some(true)) {
-                return Err(Error::usage(format!("{what} and the mesh cannot both go to standard output: name a file")));
+                return Err(Error::usage(format!(
+                    "{what} and the mesh cannot both go to standard output: name a file"
+                )));
             }
         }
         Ok(Job {

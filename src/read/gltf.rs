@@ -10,8 +10,8 @@
 use super::attribute::{Attribute, Carrier};
 use super::gltf_json::{self, Accessor, Document, Node, Place, Primitive, View};
 use super::map::{Input, WINDOW_BYTES, Window};
-use super::stream::{CHUNK, Crew, pump};
-use super::{TriangleChunk, VertexChunk};
+use super::stream::{CHUNK, Crew, Numbering, pump};
+use super::{TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
 use crate::scratch::Scratch;
 use glam::{DAffine3, DMat4, DQuat, DVec3};
@@ -104,7 +104,8 @@ impl Gltf {
     pub fn open(input: &Input, scratch: Option<&Scratch>) -> Result<Gltf> {
         let mut magic = [0; 4];
         let is_binary = input.len() >= 12 && input.read_at(&mut magic, 0).is_ok() && &magic == MAGIC;
-        let parts = if is_binary { Parts::of_glb(input)? } else { Parts { json: (0, input.len()), ..Parts::default() } };
+        let parts =
+            if is_binary { Parts::of_glb(input)? } else { Parts { json: (0, input.len()), ..Parts::default() } };
         let (document, unpacked) = gltf_json::read(input, parts.json.0, parts.json.1, scratch)?;
         let mut others = Vec::new();
         for file in unpacked {
@@ -137,13 +138,8 @@ impl Gltf {
     }
 
     /// Streams the vertices.
-    pub fn vertices<W: Send>(
-        &self,
-        input: &Input,
-        crew: &Crew<'_>,
-        worker: impl Fn() -> W + Sync,
-        step: impl Fn(&mut W, VertexChunk<'_>) -> Result<()> + Sync,
-    ) -> Result<Vec<W>> {
+    pub fn vertices(&self, input: &Input, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
+        let numbers = Numbering::default();
         let mut clouds = self.clouds.iter();
         let mut now = clouds.next().map(|cloud| (cloud, 0));
         let next = || {
@@ -160,27 +156,22 @@ impl Gltf {
             }
             Ok(None)
         };
-        let local = || (worker(), Vec::with_capacity(CHUNK));
-        let locals = pump(crew, next, local, |(mine, positions), (cloud, done, window)| {
+        let local = || (numbers.next(), Vec::with_capacity(CHUNK));
+        pump(crew, next, local, |(mine, positions), (cloud, done, window)| {
             let stride = cloud.numbers.stride;
             for (i, records) in window.chunks(CHUNK * stride).enumerate() {
                 positions.clear();
                 cloud.decode(records, positions);
-                step(mine, VertexChunk { first: cloud.first + done + (i * CHUNK) as u64, positions })?;
+                step(*mine, VertexChunk { first: cloud.first + done + (i * CHUNK) as u64, positions })?;
             }
             Ok(())
         })?;
-        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+        Ok(())
     }
 
     /// Streams the triangles.
-    pub fn triangles<W: Send>(
-        &self,
-        input: &Input,
-        crew: &Crew<'_>,
-        worker: impl Fn() -> W + Sync,
-        step: impl Fn(&mut W, TriangleChunk<'_>) -> Result<()> + Sync,
-    ) -> Result<Vec<W>> {
+    pub fn triangles(&self, input: &Input, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
+        let numbers = Numbering::default();
         let mut patches = self.patches.iter();
         let mut now = patches.next().map(|patch| (patch, 0));
         let next = || {
@@ -206,8 +197,8 @@ impl Gltf {
             }
             Ok(None)
         };
-        let local = || (worker(), Vec::with_capacity(3 * CHUNK), Vec::with_capacity(CHUNK));
-        let locals = pump(crew, next, local, |(mine, corners, triangles), (patch, done, some, hub, window)| {
+        let local = || (numbers.next(), Vec::with_capacity(3 * CHUNK), Vec::with_capacity(CHUNK));
+        pump(crew, next, local, |(mine, corners, triangles), (patch, done, some, hub, window)| {
             let (first, len) = patch.shape.corners(done, some);
             let cloud = &self.clouds[patch.cloud];
             corners.clear();
@@ -227,9 +218,9 @@ impl Gltf {
                 _ => corners.extend((first..first + len).map(|v| v as u32)),
             }
             patch.assemble(done, some as usize, hub, corners, cloud.first as u32, triangles);
-            step(mine, TriangleChunk { first: patch.first + done, triangles })
+            step(*mine, TriangleChunk { first: patch.first + done, triangles })
         })?;
-        Ok(locals.into_iter().map(|(mine, ..)| mine).collect())
+        Ok(())
     }
 
     /// The file and byte of a vertex, if the byte is one of the file that was named.
@@ -566,7 +557,11 @@ impl Builder<'_> {
             Some(accessor) => {
                 let numbers = self.numbers(accessor, "SCALAR", 1)?;
                 if !matches!(numbers.kind, Kind::U8 | Kind::U16 | Kind::U32) || numbers.stride != numbers.kind.bytes() {
-                    return self.wrong("accessor", accessor, "holds no indices: expected unsigned integers, close packed");
+                    return self.wrong(
+                        "accessor",
+                        accessor,
+                        "holds no indices: expected unsigned integers, close packed",
+                    );
                 }
                 Some(numbers)
             }
@@ -608,7 +603,8 @@ impl Builder<'_> {
         if accessor.count == 0 {
             return self.wrong("accessor", number, "counts 0");
         }
-        let end = u128::from(accessor.byte_offset) + u128::from(accessor.count - 1) * u128::from(stride) + u128::from(size);
+        let end =
+            u128::from(accessor.byte_offset) + u128::from(accessor.count - 1) * u128::from(stride) + u128::from(size);
         if end > u128::from(view.byte_length) {
             let what = format!("needs {end} bytes, but its buffer view has {}", view.byte_length);
             return self.wrong("accessor", number, what);
@@ -616,7 +612,11 @@ impl Builder<'_> {
         let (source, begin, length) = self.source(view.buffer)?;
         let view_end = u128::from(view.byte_offset) + u128::from(view.byte_length);
         if view_end > u128::from(length) {
-            return self.wrong("accessor", number, format!("its buffer view ends at {view_end}, its buffer at {length}"));
+            return self.wrong(
+                "accessor",
+                number,
+                format!("its buffer view ends at {view_end}, its buffer at {length}"),
+            );
         }
         let offset = begin + view.byte_offset + accessor.byte_offset;
         let (normalised, count) = (accessor.normalized && kind != Kind::F32, accessor.count);
@@ -627,7 +627,11 @@ impl Builder<'_> {
         match view.extensions.keys().find(|name| name.contains("compression")) {
             Some(name) => {
                 let name = super::ply_header::shown(name);
-                self.wrong("accessor", accessor, format!("is compressed with {name}, which is not read: save it without"))
+                self.wrong(
+                    "accessor",
+                    accessor,
+                    format!("is compressed with {name}, which is not read: save it without"),
+                )
             }
             None => Ok(()),
         }
@@ -664,7 +668,9 @@ impl Builder<'_> {
         let shown = super::ply_header::shown(uri);
         let name = match unescaped(uri) {
             Some(name) if !name.is_empty() && !uri.contains("://") && !uri.starts_with("data:") => PathBuf::from(name),
-            _ => return self.wrong("buffer", number, format!("is at `{shown}`, expected the name of a file beside it")),
+            _ => {
+                return self.wrong("buffer", number, format!("is at `{shown}`, expected the name of a file beside it"));
+            }
         };
         if name.is_absolute() {
             return self.wrong("buffer", number, format!("is at `{shown}`, expected a path relative to this file"));

@@ -138,12 +138,9 @@ pub(super) fn read(
         input.read_at(&mut piece[..some], from + done)?;
         for (i, byte) in piece[..some].iter().enumerate() {
             reader.take(*byte).map_err(|what| match what {
-                Fault::Wrong(what) => Error::Input {
-                    file: input.path().into(),
-                    item: None,
-                    byte: Some(from + done + i as u64),
-                    what,
-                },
+                Fault::Wrong(what) => {
+                    Error::Input { file: input.path().into(), item: None, byte: Some(from + done + i as u64), what }
+                }
                 Fault::Failed(error) => error,
             })?;
         }

@@ -8,8 +8,8 @@ use super::ascii::number;
 use super::map::{Input, WINDOW_BYTES, Window};
 use super::ply_header::shown;
 use super::ply_records::MAX_CORNERS;
-use super::stream::{CHUNK, Crew, pump};
-use super::{TriangleChunk, VertexChunk};
+use super::stream::{CHUNK, Crew, Numbering, pump};
+use super::{TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
 use crate::progress::Progress;
 use memchr::{memchr, memrchr};
@@ -132,16 +132,11 @@ impl<D: Dialect> Text<D> {
     }
 
     /// Streams the vertices.
-    pub fn vertices<W: Send>(
-        &self,
-        input: &Input,
-        crew: &Crew<'_>,
-        worker: impl Fn() -> W + Sync,
-        step: impl Fn(&mut W, VertexChunk<'_>) -> Result<()> + Sync,
-    ) -> Result<Vec<W>> {
-        let local = || (worker(), Vec::with_capacity(CHUNK));
+    pub fn vertices(&self, input: &Input, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
+        let numbers = Numbering::default();
+        let local = || (numbers.next(), Vec::with_capacity(CHUNK));
         let held = |block: &Block| block.here.vertices > 0;
-        let locals = self.pump(input, crew, held, local, |(mine, positions), block, bytes| {
+        self.pump(input, crew, held, local, |(mine, positions), block, bytes| {
             let (mut first, mut counted) = (block.before.vertices, 0);
             positions.clear();
             for line in lines(bytes, self.ending) {
@@ -150,27 +145,22 @@ impl<D: Dialect> Text<D> {
                 let position = position(numbers, self.fits_f32);
                 positions.push(position.map_err(|w| error(input, "vertex", ordinal, bytes, block.offset, w))?);
                 if positions.len() == CHUNK {
-                    step(mine, VertexChunk { first, positions })?;
+                    step(*mine, VertexChunk { first, positions })?;
                     first += CHUNK as u64;
                     positions.clear();
                 }
             }
-            if positions.is_empty() { Ok(()) } else { step(mine, VertexChunk { first, positions }) }
+            if positions.is_empty() { Ok(()) } else { step(*mine, VertexChunk { first, positions }) }
         })?;
-        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+        Ok(())
     }
 
     /// Streams the triangles.
-    pub fn triangles<W: Send>(
-        &self,
-        input: &Input,
-        crew: &Crew<'_>,
-        worker: impl Fn() -> W + Sync,
-        step: impl Fn(&mut W, TriangleChunk<'_>) -> Result<()> + Sync,
-    ) -> Result<Vec<W>> {
-        let local = || (worker(), Vec::with_capacity(CHUNK), Vec::new());
+    pub fn triangles(&self, input: &Input, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
+        let numbers = Numbering::default();
+        let local = || (numbers.next(), Vec::with_capacity(CHUNK), Vec::new());
         let held = |block: &Block| block.here.faces > 0;
-        let locals = self.pump(input, crew, held, local, |(mine, triangles, corners), block, bytes| {
+        self.pump(input, crew, held, local, |(mine, triangles, corners), block, bytes| {
             let (mut first, mut counted) = (block.before.triangles, 0);
             let (mut known, mut ordinal) = (block.before.vertices, block.before.faces);
             triangles.clear();
@@ -191,14 +181,14 @@ impl<D: Dialect> Text<D> {
                     triangles.extend(rest.windows(2).map(|pair| [*a, pair[0], pair[1]]));
                 }
                 while triangles.len() >= CHUNK {
-                    step(mine, TriangleChunk { first, triangles: &triangles[..CHUNK] })?;
+                    step(*mine, TriangleChunk { first, triangles: &triangles[..CHUNK] })?;
                     first += CHUNK as u64;
                     triangles.drain(..CHUNK);
                 }
             }
-            if triangles.is_empty() { Ok(()) } else { step(mine, TriangleChunk { first, triangles }) }
+            if triangles.is_empty() { Ok(()) } else { step(*mine, TriangleChunk { first, triangles }) }
         })?;
-        Ok(locals.into_iter().map(|(mine, ..)| mine).collect())
+        Ok(())
     }
 
     fn pump<L: Send>(
@@ -389,7 +379,9 @@ mod tests {
 
     #[test]
     fn digits_tell_what_they_were_stored_in() {
-        for text in ["0.1", "0", "-12.5", "1e-7", "123456.789062", "16777216", "0.123456791", "3.4028235e38", "nan", "x"] {
+        for text in
+            ["0.1", "0", "-12.5", "1e-7", "123456.789062", "16777216", "0.123456791", "3.4028235e38", "nan", "x"]
+        {
             assert!(fits_f32(text.as_bytes()), "{text}");
         }
         for text in ["500123.456", "4512345.1", "16777217", "0.123456789", "1e39", "1.00000000001e-3"] {

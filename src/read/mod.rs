@@ -47,6 +47,7 @@ use ply::Ply;
 use std::fmt;
 use std::path::Path;
 use stl::Stl;
+use stream::Slots;
 
 /// What coordinates must be stored in to lose nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -134,6 +135,11 @@ pub struct SoupChunk<'a> {
     /// Their corners' positions, which are finite.
     pub triangles: &'a [[[f64; 3]; 3]],
 }
+
+/// What becomes of a chunk, given the number of the worker that has it.
+type VertexStep<'a> = dyn Fn(usize, VertexChunk<'_>) -> Result<()> + Sync + 'a;
+type TriangleStep<'a> = dyn Fn(usize, TriangleChunk<'_>) -> Result<()> + Sync + 'a;
+type SoupStep<'a> = dyn Fn(usize, SoupChunk<'_>) -> Result<()> + Sync + 'a;
 
 /// An open scan.
 #[derive(Debug)]
@@ -322,18 +328,38 @@ impl Scan {
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, VertexChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.vertices(&self.input, crew, worker, step),
-            Body::Stl(stl) => stl.soup(&self.input, crew, worker, |mine, chunk| {
+        if let Body::Stl(stl) = &self.body {
+            return stl.soup(&self.input, crew, worker, |mine, chunk| {
                 let corners = chunk.triangles.as_flattened();
                 for (i, positions) in corners.chunks(stream::CHUNK).enumerate() {
                     step(mine, VertexChunk { first: 3 * chunk.first + (i * stream::CHUNK) as u64, positions })?;
                 }
                 Ok(())
-            }),
-            Body::Obj(text) => text.vertices(&self.input, crew, worker, step),
-            Body::Off(text) => text.vertices(&self.input, crew, worker, step),
-            Body::Gltf(gltf) => gltf.vertices(&self.input, crew, worker, step),
+            });
+        }
+        if let Some((ply, run)) = self.ply().and_then(|ply| Some((ply, ply.vertex_run.as_ref()?))) {
+            return ply.vertices_in_run(run, &self.input, crew, worker, step);
+        }
+        let slots = Slots::new(crew, worker);
+        self.vertices_in_order(crew, &|worker, chunk| step(&mut slots.of(worker), chunk))?;
+        Ok(slots.into_inner())
+    }
+
+    /// The PLY records that it consists of, if it does.
+    fn ply(&self) -> Option<&Ply> {
+        match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply, _) => Some(ply),
+            _ => None,
+        }
+    }
+
+    fn vertices_in_order(&self, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
+        match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.vertices_in_order(&self.input, crew, step),
+            Body::Obj(text) => text.vertices(&self.input, crew, step),
+            Body::Off(text) => text.vertices(&self.input, crew, step),
+            Body::Gltf(gltf) => gltf.vertices(&self.input, crew, step),
+            Body::Stl(_) => Err(Error::input(self.path(), "its faces index no vertices")),
         }
     }
 
@@ -344,12 +370,21 @@ impl Scan {
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, TriangleChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
+        if let Some((ply, run)) = self.ply().and_then(|ply| Some((ply, ply.triangle_run.as_ref()?))) {
+            return ply.triangles_in_run(run, &self.input, crew, worker, step);
+        }
+        let slots = Slots::new(crew, worker);
+        self.triangles_in_order(crew, &|worker, chunk| step(&mut slots.of(worker), chunk))?;
+        Ok(slots.into_inner())
+    }
+
+    fn triangles_in_order(&self, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.triangles(&self.input, crew, worker, step),
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.triangles_in_order(&self.input, crew, step),
+            Body::Obj(text) => text.triangles(&self.input, crew, step),
+            Body::Off(text) => text.triangles(&self.input, crew, step),
+            Body::Gltf(gltf) => gltf.triangles(&self.input, crew, step),
             Body::Stl(_) => Err(Error::input(self.path(), "its faces index no vertices")),
-            Body::Obj(text) => text.triangles(&self.input, crew, worker, step),
-            Body::Off(text) => text.triangles(&self.input, crew, worker, step),
-            Body::Gltf(gltf) => gltf.triangles(&self.input, crew, worker, step),
         }
     }
 

@@ -6,14 +6,14 @@
 //! faces are counted one by one when the file is opened, and decoded in order by the claiming thread.
 
 use super::ascii::Ascii;
+use super::attribute::Attribute;
 use super::cursor::Cursor;
 use super::map::Input;
 use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord};
-use super::attribute::Attribute;
 use super::ply_header::{self, Element, Header, Role, Shape};
 use super::ply_records::{Counted, Records};
 use super::stream::{CHUNK, Crew, Run, pump_decoded};
-use super::{Format, TriangleChunk, VertexChunk};
+use super::{Format, TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
 use crate::progress::Progress;
 use ply_rs::ply::Encoding;
@@ -268,71 +268,77 @@ impl Ply {
         }
     }
 
-    /// Streams the vertices.
-    pub fn vertices<W: Send>(
+    /// Streams vertices of one length.
+    pub fn vertices_in_run<W: Send>(
         &self,
+        (run, record): &(Run, VertexRecord),
         input: &Input,
         crew: &Crew<'_>,
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, VertexChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        if let Some((run, record)) = &self.vertex_run {
-            let local = || (worker(), Vec::new());
-            let locals = run.pump(input, crew, local, |(mine, positions), first, bytes| {
-                record.decode(bytes, positions);
-                step(mine, VertexChunk { first, positions })
-            })?;
-            return Ok(locals.into_iter().map(|(mine, _)| mine).collect());
-        }
+        let local = || (worker(), Vec::new());
+        let locals = run.pump(input, crew, local, |(mine, positions), first, bytes| {
+            record.decode(bytes, positions);
+            step(mine, VertexChunk { first, positions })
+        })?;
+        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+    }
+
+    /// Streams vertices that must be read in order.
+    pub fn vertices_in_order(&self, input: &Input, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
         let (path, cursor) = (input.path(), Cursor::new(input, crew.progress, self.vertex_offset));
-        let step = |mine: &mut W, first, positions: &[_]| step(mine, VertexChunk { first, positions });
+        let step = &|worker, first, positions: &[_]| step(worker, VertexChunk { first, positions });
         match self.encoding {
             Encoding::Ascii => {
                 let mut records = Records::<Ascii<'_>>::new(path, &self.vertex, cursor, 0);
-                pump_decoded(crew, |out| records.vertices(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
             Encoding::BinaryBigEndian => {
                 let mut records = Records::<Binary<'_, true>>::new(path, &self.vertex, cursor, 0);
-                pump_decoded(crew, |out| records.vertices(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
             Encoding::BinaryLittleEndian => {
                 let mut records = Records::<Binary<'_, false>>::new(path, &self.vertex, cursor, 0);
-                pump_decoded(crew, |out| records.vertices(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
         }
     }
 
-    /// Streams the triangles.
-    pub fn triangles<W: Send>(
+    /// Streams faces that are all triangles.
+    pub fn triangles_in_run<W: Send>(
         &self,
+        (run, record): &(Run, TriangleRecord),
         input: &Input,
         crew: &Crew<'_>,
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, TriangleChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        if let Some((run, record)) = &self.triangle_run {
-            let local = || (worker(), Vec::new());
-            let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
-                record.decode(bytes, self.vertex.count, triangles).map_err(|bad| face_error(input, run, first, bad))?;
-                step(mine, TriangleChunk { first, triangles })
-            })?;
-            return Ok(locals.into_iter().map(|(mine, _)| mine).collect());
-        }
+        let local = || (worker(), Vec::new());
+        let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
+            record.decode(bytes, self.vertex.count, triangles).map_err(|bad| face_error(input, run, first, bad))?;
+            step(mine, TriangleChunk { first, triangles })
+        })?;
+        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+    }
+
+    /// Streams faces that must be read in order.
+    pub fn triangles_in_order(&self, input: &Input, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
         let (path, vertices) = (input.path(), self.vertex.count);
         let cursor = Cursor::new(input, crew.progress, self.face_offset);
-        let step = |mine: &mut W, first, triangles: &[_]| step(mine, TriangleChunk { first, triangles });
+        let step = &|worker, first, triangles: &[_]| step(worker, TriangleChunk { first, triangles });
         match self.encoding {
             Encoding::Ascii => {
                 let mut records = Records::<Ascii<'_>>::new(path, &self.face, cursor, vertices);
-                pump_decoded(crew, |out| records.triangles(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.triangles(CHUNK, out), step)
             }
             Encoding::BinaryBigEndian => {
                 let mut records = Records::<Binary<'_, true>>::new(path, &self.face, cursor, vertices);
-                pump_decoded(crew, |out| records.triangles(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.triangles(CHUNK, out), step)
             }
             Encoding::BinaryLittleEndian => {
                 let mut records = Records::<Binary<'_, false>>::new(path, &self.face, cursor, vertices);
-                pump_decoded(crew, |out| records.triangles(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.triangles(CHUNK, out), step)
             }
         }
     }

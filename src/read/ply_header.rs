@@ -272,7 +272,13 @@ struct Cleaner<'a> {
 
 impl<'a> Cleaner<'a> {
     fn new(input: &'a Input) -> Self {
-        Cleaner { input, line: Item { kind: "header line", ordinal: 0 }, byte: 0, seen: Vec::new(), names: FxHashMap::default() }
+        Cleaner {
+            input,
+            line: Item { kind: "header line", ordinal: 0 },
+            byte: 0,
+            seen: Vec::new(),
+            names: FxHashMap::default(),
+        }
     }
 
     fn clean(&mut self, header: &[u8]) -> Result<String> {

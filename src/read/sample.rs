@@ -3,7 +3,7 @@
 //! Where records have one length the sample is read past the map, run by run, which costs a few reads a run; anything else
 //! costs a pass over the file. Memory is that of the sample.
 
-use super::ply::{Ply, face_error};
+use super::ply::face_error;
 use super::stl::{self, Stl};
 use super::stream::Run;
 use super::{Body, Crew, Scan};
@@ -67,14 +67,6 @@ impl Scan {
             triangles.extend(decoded.iter().copied().filter(is_finite));
         }
         Ok(triangles)
-    }
-
-    /// The PLY records that it consists of, if it does.
-    fn ply(&self) -> Option<&Ply> {
-        match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => Some(ply),
-            _ => None,
-        }
     }
 
     fn sample_corners(&self, crew: &Crew<'_>, runs: &Runs) -> Result<Vec<[u32; 3]>> {

@@ -124,10 +124,15 @@ fn unpack(
 
 #[cold]
 fn broken(path: &Path, compression: Option<Compression>, error: &std::io::Error, length: u64) -> Error {
-    let Some(compression) = compression else { return Error::io(path, "cannot read")(std::io::Error::from(error.kind())) };
+    let Some(compression) = compression else {
+        return Error::io(path, "cannot read")(std::io::Error::from(error.kind()));
+    };
     let text: String = error.to_string().escape_debug().take(200).collect();
     let remedy = if text.contains("too much memory") { "; more --memory would do" } else { "" };
-    Error::input(path, format!("its {compression} data cannot be unpacked beyond byte {length} of what it holds: {text}{remedy}"))
+    Error::input(
+        path,
+        format!("its {compression} data cannot be unpacked beyond byte {length} of what it holds: {text}{remedy}"),
+    )
 }
 
 /// Counts what is read.

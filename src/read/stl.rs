@@ -2,8 +2,8 @@
 
 use super::map::Input;
 use super::stl_ascii;
-use super::stream::{CHUNK, Crew, Run, pump_decoded};
-use super::{Format, SoupChunk};
+use super::stream::{CHUNK, Crew, Run, Slots, pump_decoded};
+use super::{Format, SoupChunk, SoupStep};
 use crate::error::{Error, Item, Result};
 use crate::progress::Progress;
 
@@ -84,18 +84,24 @@ impl Stl {
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, SoupChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        if let Some(run) = &self.run {
-            let local = || (worker(), Vec::new());
-            let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
-                if !decode(bytes, triangles) {
-                    return Err(not_finite(input, run, first, triangles));
-                }
-                step(mine, SoupChunk { first, triangles })
-            })?;
-            return Ok(locals.into_iter().map(|(mine, _)| mine).collect());
-        }
+        let Some(run) = &self.run else {
+            let slots = Slots::new(crew, worker);
+            self.soup_in_order(input, crew, &|worker, chunk| step(&mut slots.of(worker), chunk))?;
+            return Ok(slots.into_inner());
+        };
+        let local = || (worker(), Vec::new());
+        let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
+            if !decode(bytes, triangles) {
+                return Err(not_finite(input, run, first, triangles));
+            }
+            step(mine, SoupChunk { first, triangles })
+        })?;
+        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+    }
+
+    fn soup_in_order(&self, input: &Input, crew: &Crew<'_>, step: &SoupStep<'_>) -> Result<()> {
         let mut facets = stl_ascii::Facets::new(input, crew.progress);
-        let fill = |out: &mut Vec<_>| {
+        let mut fill = |out: &mut Vec<_>| {
             let from = facets.at();
             while out.len() < CHUNK
                 && let Some(triangle) = facets.next()?
@@ -104,7 +110,7 @@ impl Stl {
             }
             Ok(facets.at() - from)
         };
-        pump_decoded(crew, fill, worker, |mine, first, triangles| step(mine, SoupChunk { first, triangles }))
+        pump_decoded(crew, &mut fill, &|worker, first, triangles| step(worker, SoupChunk { first, triangles }))
     }
 }
 

@@ -54,10 +54,9 @@ impl Format {
             Some("stl") => Ok(Format::Stl),
             Some("obj") => Ok(Format::Obj),
             Some("glb") => Ok(Format::Glb),
-            Some(other) => Err(Error::usage(format!(
-                "{}: cannot write .{other}, only .ply, .stl, .obj and .glb",
-                path.display()
-            ))),
+            Some(other) => {
+                Err(Error::usage(format!("{}: cannot write .{other}, only .ply, .stl, .obj and .glb", path.display())))
+            }
             None => Err(Error::usage(format!(
                 "{}: a target's name ends in .ply, .stl, .obj or .glb, this one in none of them",
                 path.display()

@@ -28,7 +28,10 @@ pub struct Target {
 enum Place {
     /// A locked temporary file in the target's folder, which becomes the target when it is complete and vanishes when it
     /// is dropped before.
-    Folder { folder: PathBuf, temporary: NamedTempFile },
+    Folder {
+        folder: PathBuf,
+        temporary: NamedTempFile,
+    },
     Stdout,
 }
 
@@ -124,11 +127,7 @@ impl Target {
 }
 
 /// Has `fill` write to standard output.
-fn to_stdout(
-    path: &Path,
-    progress: &Progress,
-    fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>,
-) -> Result<u64> {
+fn to_stdout(path: &Path, progress: &Progress, fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>) -> Result<u64> {
     // A handle of our own on the descriptor: bytes are gathered by the sink already.
     let stdout = std::io::stdout().as_fd().try_clone_to_owned().map_err(Error::io(path, "cannot write"))?;
     let file = File::from(stdout);

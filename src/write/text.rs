@@ -59,7 +59,9 @@ mod tests {
 
     #[test]
     fn digits_read_back_to_the_same_number() {
-        for (x, text) in [(0.1f32, "0.1"), (-0.0, "-0"), (1e-30, "1e-30"), (1.5e10, "1.5e10"), (16_777_216.0, "16777216")] {
+        for (x, text) in
+            [(0.1f32, "0.1"), (-0.0, "-0"), (1e-30, "1e-30"), (1.5e10, "1.5e10"), (16_777_216.0, "16777216")]
+        {
             assert_eq!(Digits(x).to_string(), text);
         }
         assert_eq!(Digits(4_512_345.123_456_789f64).to_string(), "4512345.123456789");

@@ -5,6 +5,7 @@ mod borders;
 mod compare;
 mod counts;
 mod determinism;
+mod formats;
 mod interrupt;
 mod job;
 mod memory;

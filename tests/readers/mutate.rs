@@ -1,8 +1,8 @@
 //! Seeded mutations of small files of every format: whatever the bytes, an answer in one line, and little memory.
 
+use super::compressed::packed;
 use super::gltf_files;
 use super::write::*;
-use super::compressed::packed;
 use super::{Random, peak_mib, stream, told};
 use meshmill::Result;
 use meshmill::progress::Progress;
