@@ -32,11 +32,11 @@ use std::path::{Path, PathBuf};
 
 use super::Target;
 use super::quantity::{
-    Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight, as_written, write_size,
+    Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight, as_written, write_size,
 };
 use crate::budget::Size;
 use crate::cluster::Representative;
-use crate::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
+use crate::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
 use crate::write::{Format, is_stdout};
 
@@ -158,6 +158,12 @@ pub struct CollapseTable {
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
+    /// How close vertices without an edge must be to merge all the same.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub pair_distance: Option<Pairs>,
+    /// What collapses at a time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub primitive: Option<Primitive>,
 }
 
 /// `[refit]`
@@ -202,6 +208,8 @@ const KEYS: [(&str, &[&str]); 6] = [
             "compactness",
             "valence_penalty",
             "topology",
+            "pair_distance",
+            "primitive",
         ],
     ),
     ("refit", &["rounds"]),
