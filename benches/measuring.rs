@@ -60,7 +60,7 @@ fn reduced(files: &Files) -> Scan {
         memory: Size(512 * MIB),
         threads: 2,
         scratch: None,
-        scratch_quota: Size(64 << 30),
+        scratch_quota: meshmill::scratch::DEFAULT_QUOTA,
         representative: Representative::Quadric,
         policies: Default::default(),
         lock_vertices: None,

@@ -24,10 +24,12 @@ impl Row<'_> {
         let job = Job {
             input: self.input.into(),
             output: output.into(),
+            format: meshmill::write::Format::Ply,
             target: Target::Faces(faces),
             memory: self.memory,
             threads,
             scratch: None,
+            scratch_quota: meshmill::scratch::DEFAULT_QUOTA,
             representative: Representative::Quadric,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
             policies: Default::default(),

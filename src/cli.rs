@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use meshmill::budget::Size;
 use meshmill::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use meshmill::job::{
-    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Pairs, Ratio,
-    RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
+    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, InspectionSaid, JobFile, Length, MinComponent, Pairs,
+    Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
 };
 use meshmill::write::{Format, is_stdout};
 use serde::Deserialize;
@@ -35,6 +35,8 @@ pub enum Command {
     Run(RunArgs),
     /// Measure how far two meshes are from each other, both ways
     Compare(CompareArgs),
+    /// Say what is in a scan: counts, attributes, extent, defects, and what a reduction would take
+    Inspect(InspectArgs),
     /// Make a realistic scan of any size
     Synth(SynthArgs),
 }
@@ -239,6 +241,49 @@ pub struct CompareArgs {
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
     pub json: bool,
+}
+
+/// `meshmill inspect`
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// The scan, in any format that `reduce` reads
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// Say what a reduction to this many faces would take
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    faces: Option<Count>,
+
+    /// Say what a reduction to this share of the faces would take [default: 1%]
+    #[arg(long, value_name = "R", allow_negative_numbers = true, conflicts_with = "faces")]
+    ratio: Option<Ratio>,
+
+    /// Bound on the whole process's peak resident memory: what it has no room for is not said [default: 512MiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    memory: Option<Size>,
+
+    /// Worker threads; what is found does not depend on them [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    threads: Option<Threads>,
+
+    /// Folder for spills and for what is unpacked [default: the one the program runs in]
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
+
+    /// The most that may be in that folder at one time [default: 256GiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    scratch_quota: Option<Size>,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl From<InspectArgs> for InspectionSaid {
+    fn from(args: InspectArgs) -> Self {
+        let InspectArgs { input, faces, ratio, memory, threads, scratch, scratch_quota, json: _ } = args;
+        InspectionSaid { input, faces, ratio, memory, threads, scratch, scratch_quota }
+    }
 }
 
 /// `meshmill synth`

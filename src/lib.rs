@@ -47,6 +47,7 @@ pub mod budget;
 pub mod cluster;
 pub mod collapse;
 pub mod error;
+pub mod inspect;
 pub mod job;
 pub mod measure;
 pub mod mesh;

@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, CompareArgs, RunArgs, SynthArgs};
-use meshmill::job::{ComparisonSaid, JobFile};
+use cli::{Cli, Command, CompareArgs, InspectArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile};
 use meshmill::progress::Progress;
 use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
 use meshmill::write::is_stdout;
@@ -26,6 +26,7 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Reduce(args) }) => reduce((*args).into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
+        Ok(Cli { command: Command::Inspect(args) }) => inspect(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
@@ -82,6 +83,13 @@ fn compare(args: CompareArgs) -> ExitCode {
     let outcome = working(|progress| pipeline::compare(&comparison, progress));
     let saying = |report: ComparisonReport| Saying { stdout_is_taken, ..Saying::new(json(&report), report.lines()) };
     conclude(outcome.map(saying), in_json)
+}
+
+fn inspect(args: InspectArgs) -> ExitCode {
+    let in_json = args.json;
+    let inspection = InspectionSaid::from(args).resolve();
+    let outcome = working(|progress| pipeline::inspect(&inspection, progress));
+    conclude(outcome.map(|report| Saying::new(json(&report), report.lines())), in_json)
 }
 
 /// The job in full, as a job file that can be run from anywhere.

@@ -1,8 +1,10 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod inspect;
 
 pub use compare::compare;
+pub use inspect::inspect;
 
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};

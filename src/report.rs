@@ -3,11 +3,13 @@
 //! The JSON keys are a contract with scripts: [`SCHEMA`] changes when one of them does.
 
 mod comparison;
+mod inspection;
 
 pub use comparison::{
     ComparisonReport, ComparisonTimeline, DeviationFigures, HeatmapFile, Shares, WayFigures, WayShares,
 };
 
+pub use inspection::{BoxFigures, InspectionReport, ReductionFigures, SurfaceFigures, UnsaidFigure};
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 use std::fmt;

@@ -2,11 +2,13 @@
 
 mod comparison;
 mod file;
+mod inspection;
 mod points;
 mod quantity;
 
 pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
+pub use inspection::{Inspection, InspectionSaid};
 pub use points::read_points;
 pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight};
 

@@ -1,6 +1,7 @@
 //! The meshes that pass between stages, the frame in which their coordinates live, and what is asked of them.
 
 pub mod adjacency;
+pub mod audit;
 pub mod boxes;
 mod frame;
 mod indexed;

@@ -6,6 +6,7 @@ mod compare;
 mod counts;
 mod determinism;
 mod formats;
+mod inspect;
 mod interrupt;
 mod job;
 mod memory;
