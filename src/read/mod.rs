@@ -15,6 +15,7 @@ mod attribute;
 mod cursor;
 mod gltf;
 mod gltf_json;
+mod gltf_scene;
 mod lines;
 mod load;
 mod map;

@@ -103,6 +103,9 @@ fn claim_all<C>(
     }
 }
 
+/// What becomes of items, given the worker's number and that of the first item.
+type Work<'a, T> = dyn Fn(usize, u64, &[T]) -> Result<()> + Sync + 'a;
+
 /// What each worker of a pass owns, by the worker's number. Passes that decode text, or whatever else takes longer than a
 /// call through a pointer a chunk, are compiled once in this way, not once for each of their callers.
 pub(super) struct Slots<W>(Vec<Mutex<W>>);
@@ -248,7 +251,7 @@ impl Run {
 pub(super) fn pump_decoded<T: Send>(
     crew: &Crew<'_>,
     fill: &mut dyn FnMut(&mut Vec<T>) -> Result<u64>,
-    work: &(dyn Fn(usize, u64, &[T]) -> Result<()> + Sync),
+    work: &Work<'_, T>,
 ) -> Result<()> {
     let numbers = Numbering::default();
     let spent = ArrayQueue::new(crew.workers.max(1) + AHEAD + 1);

@@ -114,7 +114,7 @@ fn objects_are_where_their_nodes_put_them() {
     gltf.json["scene"] = 1.into();
     gltf.json["nodes"] = json!([
         { "children": [1], "translation": [10, 0, 0], "scale": [2, 2, 2] },
-        { "mesh": 0, "rotation": [0, 0, 0.70710678118654752, 0.70710678118654752], "translation": [1, 0, 0] },
+        { "mesh": 0, "rotation": [0, 0, 1, 1], "translation": [1, 0, 0] },
         { "mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 5, 1] },
         { "mesh": 0 },
     ]);
