@@ -64,6 +64,7 @@ fn reduced(files: &Files) -> Scan {
         representative: Representative::Quadric,
         policies: Default::default(),
         lock_vertices: None,
+        carry: true,
         refit_rounds: 1,
         verify: false,
     };

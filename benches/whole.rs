@@ -31,6 +31,7 @@ impl Row<'_> {
             scratch: None,
             scratch_quota: meshmill::scratch::DEFAULT_QUOTA,
             representative: Representative::Quadric,
+            carry: true,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
             policies: Default::default(),
             lock_vertices: None,

@@ -56,6 +56,10 @@ pub struct ReduceArgs {
     #[arg(long, value_name = "WHICH", value_parser = word::<Format>)]
     format: Option<Format>,
 
+    /// Leave out what the scan's vertices carry beside their positions: colours, normals, any other number
+    #[arg(long)]
+    no_carry: bool,
+
     #[command(flatten)]
     target: TargetArgs,
 
@@ -324,8 +328,17 @@ impl From<CompareArgs> for ComparisonSaid {
 impl From<ReduceArgs> for JobFile {
     fn from(args: ReduceArgs) -> Self {
         let TargetArgs { faces, ratio, max_error } = args.target;
+        let carry = args.no_carry.then_some(false);
         JobFile {
-            scan: ScanTable { input: args.input, output: args.output, format: args.format, faces, ratio, max_error },
+            scan: ScanTable {
+                input: args.input,
+                output: args.output,
+                format: args.format,
+                carry,
+                faces,
+                ratio,
+                max_error,
+            },
             run: RunTable {
                 memory: args.memory,
                 threads: args.threads,

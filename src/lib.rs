@@ -45,6 +45,7 @@
 //! *Budget*, bytes.
 
 pub mod budget;
+pub mod carry;
 pub mod cluster;
 pub mod collapse;
 pub mod error;

@@ -6,15 +6,17 @@ mod inspect;
 pub use compare::compare;
 pub use inspect::inspect;
 
+use crate::carry::carry;
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Target, read_points};
+use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::plan::{Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
-use crate::read::{Crew, LoadReport, Scalar, Scan, load};
+use crate::read::{Carrier, Crew, LoadReport, Scalar, Scan, load};
 use crate::refit::{self, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
@@ -119,8 +121,14 @@ impl Run<'_> {
         if S::DOUBLE && out.loses_doubles() {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
+        let (wanted, lost) = self.columns(out.format());
+        if !lost.is_empty() {
+            warnings.push(Warning::NotCarried { names: lost });
+        }
+        let carried = self.carried(&wanted, &mesh, frame)?;
+        seconds.carry = clock.lap();
         let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
-        out.write_mesh(&mesh, frame, self.progress)?;
+        out.write_carrying(&mesh, frame, &carried, self.progress)?;
         seconds.write = clock.lap();
         let (mode, cells, ratio) = match &source {
             Source::Loaded(_) => (Mode::InCore, None, None),
@@ -242,6 +250,34 @@ impl Run<'_> {
             locked,
             keep_reference: self.job.refit_rounds > 0 && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
+    }
+
+    /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
+    fn columns(&self, format: write::Format) -> (Vec<usize>, Vec<String>) {
+        if !self.job.carry {
+            return (Vec::new(), Vec::new());
+        }
+        let columns = self.scan.columns();
+        let wanted: Vec<usize> = (0..columns.len()).filter(|c| format.holds(columns[*c].meaning)).collect();
+        let is_carried = |name: &str| wanted.iter().any(|c| columns[*c].name == name);
+        let mut lost: Vec<String> = Vec::new();
+        for attribute in self.scan.attributes() {
+            // What OBJ calls one attribute is columns here.
+            let held = if attribute.name == "colour" { !wanted.is_empty() } else { is_carried(&attribute.name) };
+            if !(held && attribute.carrier == Carrier::Vertex || lost.contains(&attribute.name)) {
+                lost.push(attribute.name);
+            }
+        }
+        (wanted, lost)
+    }
+
+    /// What the result's vertices carry.
+    fn carried<S: Coordinate>(&self, wanted: &[usize], mesh: &IndexedMesh<S>, frame: Frame) -> Result<Columns> {
+        if wanted.is_empty() {
+            return Ok(Columns::default());
+        }
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        carry(self.scan, wanted, mesh, frame, &crew)
     }
 
     /// Measures the file that was written.

@@ -75,6 +75,9 @@ pub struct ScanTable {
     /// The format to write, where the extension does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub format: Option<Format>,
+    /// Whether the result gets what the scan's vertices carry: colours, normals, any other number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub carry: Option<bool>,
     /// Target: this many faces.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub faces: Option<Count>,
@@ -189,7 +192,7 @@ pub struct ReportTable {
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
 const KEYS: [(&str, &[&str]); 6] = [
-    ("scan", &["input", "output", "format", "faces", "ratio", "max_error"]),
+    ("scan", &["input", "output", "format", "carry", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch", "scratch_quota"]),
     ("cluster", &["representative"]),
     (

@@ -92,6 +92,8 @@ pub struct Job {
     pub policies: Policies,
     /// A list of points: the vertices nearest to them stay where they are.
     pub lock_vertices: Option<PathBuf>,
+    /// Whether the result gets what the scan's vertices carry.
+    pub carry: bool,
     /// Rounds of refit.
     pub refit_rounds: u32,
     /// Whether the result is measured against the scan.
@@ -142,6 +144,7 @@ impl JobFile {
             representative: self.cluster.representative.unwrap_or_default(),
             policies,
             lock_vertices: self.collapse.lock_vertices,
+            carry: self.scan.carry.unwrap_or(true),
             refit_rounds,
             verify: self.report.verify.unwrap_or(false),
         })
@@ -219,6 +222,7 @@ impl Job {
     pub fn said(&self) -> JobFile {
         let (input, output, format) = (self.input.clone(), self.output.clone(), Some(self.format));
         let mut scan = ScanTable { input, output, format, ..Default::default() };
+        scan.carry = Some(self.carry);
         match self.target {
             Target::Faces(n) => scan.faces = Some(Count(n)),
             Target::Ratio(r) => scan.ratio = Some(Ratio(r)),

@@ -3,6 +3,7 @@
 pub mod adjacency;
 pub mod audit;
 pub mod boxes;
+pub mod columns;
 mod frame;
 mod indexed;
 mod reference;

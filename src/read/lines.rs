@@ -9,7 +9,7 @@ use super::map::{Input, WINDOW_BYTES, Window};
 use super::ply_header::shown;
 use super::ply_records::MAX_CORNERS;
 use super::stream::{CHUNK, Crew, Numbering, pump};
-use super::{TriangleChunk, TriangleStep, VertexChunk, VertexStep};
+use super::{CarriedChunk, CarriedStep, TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
 use crate::progress::Progress;
 use memchr::{memchr, memrchr};
@@ -151,6 +151,45 @@ impl<D: Dialect> Text<D> {
                 }
             }
             if positions.is_empty() { Ok(()) } else { step(*mine, VertexChunk { first, positions }) }
+        })?;
+        Ok(())
+    }
+
+    /// Streams the vertices with so many numbers behind their positions, each times `factor`; what is not there is not a
+    /// number.
+    pub fn carried(
+        &self,
+        (columns, factor): (usize, f64),
+        input: &Input,
+        crew: &Crew<'_>,
+        step: &CarriedStep<'_>,
+    ) -> Result<()> {
+        let workers = Numbering::default();
+        let local = || (workers.next(), Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK * columns));
+        let held = |block: &Block| block.here.vertices > 0;
+        self.pump(input, crew, held, local, |(worker, positions, values), block, bytes| {
+            let (mut first, mut counted) = (block.before.vertices, 0);
+            positions.clear();
+            values.clear();
+            for line in lines(bytes, self.ending) {
+                let Line::Vertex(numbers) = self.sort(line, &mut counted, block.before.lines) else { continue };
+                let ordinal = first + positions.len() as u64;
+                let position = position(numbers, self.fits_f32);
+                positions.push(position.map_err(|w| error(input, "vertex", ordinal, bytes, block.offset, w))?);
+                let mut more = words(numbers).skip(3);
+                let number = |word| number(word, true).map_or(f64::NAN, |x| factor * x);
+                values.extend((0..columns).map(|_| more.next().map_or(f64::NAN, number)));
+                if positions.len() == CHUNK {
+                    step(*worker, CarriedChunk { first, positions, values, columns })?;
+                    first += CHUNK as u64;
+                    positions.clear();
+                    values.clear();
+                }
+            }
+            if positions.is_empty() {
+                return Ok(());
+            }
+            step(*worker, CarriedChunk { first, positions, values, columns })
         })?;
         Ok(())
     }
@@ -342,10 +381,15 @@ fn fits_f32(word: &[u8]) -> bool {
         return true;
     }
     let mantissa_end = word.iter().position(|b| matches!(b, b'e' | b'E')).unwrap_or(word.len());
-    let decimals = memchr(b'.', &word[..mantissa_end]).map_or(0, |point| mantissa_end - point - 1);
+    let mantissa = &word[..mantissa_end];
+    // Of a large whole number, zeros at the end are no digits that anybody knew.
+    let decimals = match memchr(b'.', mantissa) {
+        Some(point) => (mantissa_end - point - 1) as i64,
+        None => -(mantissa.iter().rev().take_while(|b| **b == b'0').count() as i64),
+    };
     let exponent = integer(word.get(mantissa_end + 1..).unwrap_or_default()).unwrap_or(0);
-    let unit = 10f64.powf((exponent - decimals as i64) as f64);
-    single.is_finite() && (single - x).abs() <= 0.500001 * unit
+    let unit = 10f64.powf((exponent - decimals) as f64);
+    single.is_finite() && (single - x).abs() <= 0.5 * unit + 4.0 * f64::EPSILON * x.abs()
 }
 
 fn check_corners(face: &[u8], n: u64) -> Result<u64, Wrong<'_>> {

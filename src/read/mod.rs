@@ -38,6 +38,7 @@ pub use spool::{Compression, STDIN};
 pub use stream::Crew;
 
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use crate::scratch::Scratch;
 use gltf::Gltf;
@@ -142,12 +143,28 @@ type VertexStep<'a> = dyn Fn(usize, VertexChunk<'_>) -> Result<()> + Sync + 'a;
 type TriangleStep<'a> = dyn Fn(usize, TriangleChunk<'_>) -> Result<()> + Sync + 'a;
 type SoupStep<'a> = dyn Fn(usize, SoupChunk<'_>) -> Result<()> + Sync + 'a;
 
+type CarriedStep<'a> = dyn Fn(usize, CarriedChunk<'_>) -> Result<()> + Sync + 'a;
+
+/// At most 16,384 vertices with what they carry, in the order of the file.
+#[derive(Debug, Clone, Copy)]
+pub struct CarriedChunk<'a> {
+    /// The number of the first.
+    pub first: u64,
+    /// Their coordinates as the file has them, finite or not.
+    pub positions: &'a [[f64; 3]],
+    /// A number of each column a vertex, vertex after vertex; not a number where the file has none.
+    pub values: &'a [f64],
+    /// How many columns there are.
+    pub columns: usize,
+}
+
 /// An open scan.
 #[derive(Debug)]
 pub struct Scan {
     input: Input,
     compression: Option<Compression>,
     body: Body,
+    columns: Vec<Column>,
 }
 
 #[derive(Debug)]
@@ -198,7 +215,12 @@ impl Scan {
             head.truncate(stl::HEAD_BYTES as usize);
             Body::Stl(Stl::open(&input, progress, &head)?)
         };
-        Ok(Scan { input, compression, body })
+        let columns = match &body {
+            Body::Ply(ply) => ply.columns(),
+            Body::Obj(text) => text.dialect.columns(),
+            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) | Body::Gltf(_) => Vec::new(),
+        };
+        Ok(Scan { input, compression, body, columns })
     }
 
     /// The file.
@@ -254,6 +276,11 @@ impl Scan {
             Body::OffBinary(_, carried) => carried.attributes(),
             Body::Gltf(gltf) => gltf.attributes.clone(),
         }
+    }
+
+    /// Numbers of its vertices that [`carried`](Self::carried) yields.
+    pub fn columns(&self) -> &[Column] {
+        &self.columns
     }
 
     /// What a length of one is, where the format says so.
@@ -362,6 +389,23 @@ impl Scan {
             Body::Gltf(gltf) => gltf.vertices(&self.input, crew, step),
             Body::Stl(_) => Err(Error::input(self.path(), "its faces index no vertices")),
         }
+    }
+
+    /// Streams the vertices with what they carry.
+    pub fn carried<W: Send>(
+        &self,
+        crew: &Crew<'_>,
+        worker: impl Fn() -> W,
+        step: impl Fn(&mut W, CarriedChunk<'_>) -> Result<()> + Sync,
+    ) -> Result<Vec<W>> {
+        let slots = Slots::new(crew, worker);
+        let step = |worker: usize, chunk: CarriedChunk<'_>| step(&mut slots.of(worker), chunk);
+        match &self.body {
+            Body::Ply(ply) => ply.carried(&self.input, crew, &step)?,
+            Body::Obj(text) => text.carried((self.columns.len(), 255.0), &self.input, crew, &step)?,
+            _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
+        }
+        Ok(slots.into_inner())
     }
 
     /// Streams the triangles of an indexed scan.

@@ -8,6 +8,7 @@ use super::lines::{Dialect, Line, Text, Wrong, integer, unexpected, words};
 use super::map::Input;
 use super::ply_records::no_such_vertex;
 use crate::error::{Error, Result};
+use crate::mesh::columns::{Column, Meaning, Number};
 use crate::progress::Progress;
 use memchr::memchr;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -62,6 +63,15 @@ pub(super) fn open(input: &Input, progress: &Progress) -> Result<ObjText> {
 }
 
 impl Obj {
+    /// Numbers that vertices carry: colours, as bytes in place of shares.
+    pub fn columns(&self) -> Vec<Column> {
+        if self.numbers.load(Relaxed) < 6 {
+            return Vec::new();
+        }
+        let column = |name: &str| Column { name: name.into(), number: Number::U8, meaning: Meaning::of(name) };
+        ["red", "green", "blue"].map(column).to_vec()
+    }
+
     /// What vertices and corners carry.
     pub fn attributes(&self) -> Vec<Attribute> {
         let mut found = Vec::new();

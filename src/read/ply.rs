@@ -9,12 +9,13 @@ use super::ascii::Ascii;
 use super::attribute::Attribute;
 use super::cursor::Cursor;
 use super::map::Input;
-use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord};
-use super::ply_header::{self, Element, Header, Role, Shape};
-use super::ply_records::{Counted, Records};
-use super::stream::{CHUNK, Crew, Run, pump_decoded};
-use super::{Format, TriangleChunk, TriangleStep, VertexChunk, VertexStep};
+use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord, decode_column};
+use super::ply_header::{self, Element, Header, Kind, Role, Shape};
+use super::ply_records::{Counted, Records, Row};
+use super::stream::{CHUNK, Crew, Numbering, Run, pump_decoded};
+use super::{CarriedChunk, CarriedStep, Format, TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use ply_rs::ply::Encoding;
 
@@ -303,6 +304,58 @@ impl Ply {
                 pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
         }
+    }
+
+    /// Numbers that vertices carry.
+    pub fn columns(&self) -> Vec<Column> {
+        self.vertex.columns().into_iter().map(|(_, column)| column).collect()
+    }
+
+    /// Streams the vertices with what they carry.
+    pub fn carried(&self, input: &Input, crew: &Crew<'_>, step: &CarriedStep<'_>) -> Result<()> {
+        let wanted: Vec<usize> = self.vertex.columns().into_iter().map(|(i, _)| i).collect();
+        let columns = wanted.len();
+        let Some((run, record)) = &self.vertex_run else {
+            let (path, cursor) = (input.path(), Cursor::new(input, crew.progress, self.vertex_offset));
+            let step = &|worker, first, rows: &[Row]| {
+                let positions: Vec<[f64; 3]> = rows.iter().map(|row| [row[0], row[1], row[2]]).collect();
+                let values: Vec<f64> = rows.iter().flat_map(|row| &row[3..3 + columns]).copied().collect();
+                step(worker, CarriedChunk { first, positions: &positions, values: &values, columns })
+            };
+            return match self.encoding {
+                Encoding::Ascii => {
+                    let mut records = Records::<Ascii<'_>>::new(path, &self.vertex, cursor, 0);
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                }
+                Encoding::BinaryBigEndian => {
+                    let mut records = Records::<Binary<'_, true>>::new(path, &self.vertex, cursor, 0);
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                }
+                Encoding::BinaryLittleEndian => {
+                    let mut records = Records::<Binary<'_, false>>::new(path, &self.vertex, cursor, 0);
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                }
+            };
+        };
+        let numbers = Numbering::default();
+        let places: Vec<(usize, Kind)> = wanted
+            .iter()
+            .filter_map(|i| match self.vertex.properties[*i].shape {
+                Shape::Scalar(kind) => Some((self.vertex.offset_of(*i), kind)),
+                Shape::List { .. } => None,
+            })
+            .collect();
+        let local = || (numbers.next(), Vec::new(), Vec::new());
+        run.pump(input, crew, local, |(worker, positions, values), first, bytes| {
+            record.decode(bytes, positions);
+            values.clear();
+            values.resize(positions.len() * columns, 0.0);
+            for (c, (offset, kind)) in places.iter().enumerate() {
+                decode_column(bytes, run.stride, (*offset, *kind, record.big), &mut values[c..], columns);
+            }
+            step(*worker, CarriedChunk { first, positions, values, columns })
+        })?;
+        Ok(())
     }
 
     /// Streams faces that are all triangles.

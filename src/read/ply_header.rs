@@ -7,9 +7,13 @@
 use super::attribute::{Attribute, Carrier};
 use super::map::Input;
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::{Column, Meaning, Number};
 use ply_rs::parser::{Parser, Reader};
 use ply_rs::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType};
 use rustc_hash::FxHashMap;
+
+/// The most numbers of a vertex that are carried.
+pub(super) const MOST_COLUMNS: usize = 13;
 
 /// The longest header that is read.
 const HEADER_BYTES: u64 = 1 << 20;
@@ -60,18 +64,23 @@ impl Kind {
         }
     }
 
+    /// The same as others call it.
+    pub fn number(self) -> Number {
+        match self {
+            Kind::I8 => Number::I8,
+            Kind::U8 => Number::U8,
+            Kind::I16 => Number::I16,
+            Kind::U16 => Number::U16,
+            Kind::I32 => Number::I32,
+            Kind::U32 => Number::U32,
+            Kind::F32 => Number::F32,
+            Kind::F64 => Number::F64,
+        }
+    }
+
     /// What PLY calls it.
     pub fn word(self) -> &'static str {
-        match self {
-            Kind::I8 => "char",
-            Kind::U8 => "uchar",
-            Kind::I16 => "short",
-            Kind::U16 => "ushort",
-            Kind::I32 => "int",
-            Kind::U32 => "uint",
-            Kind::F32 => "float",
-            Kind::F64 => "double",
-        }
+        self.number().word()
     }
 
     fn of(scalar: &ScalarType) -> Kind {
@@ -134,6 +143,32 @@ impl Element {
             Shape::List { count, item } => format!("list {} {}", count.word(), item.word()),
         };
         others.map(|p| Attribute::of(carrier, p.name.as_str(), kind(p.shape))).collect()
+    }
+
+    /// The numbers that are carried, and which of the properties they are: as many as there is room for, by names that can be
+    /// written again. Texture coordinates are none: a texture has seams, over which they must not be averaged.
+    pub fn columns(&self) -> Vec<(usize, Column)> {
+        const TEXTURE: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "tx", "ty"];
+        let mut found: Vec<(usize, Column)> = Vec::new();
+        for (i, property) in self.properties.iter().enumerate() {
+            let name = property.name.as_str();
+            let plain = !name.is_empty() && name.bytes().all(|b| b.is_ascii_alphanumeric() || b"_.-".contains(&b));
+            let known = TEXTURE.contains(&name) || found.iter().any(|(_, c)| c.name == name);
+            if let (Role::Other, Shape::Scalar(kind)) = (property.role, property.shape)
+                && plain
+                && !known
+                && found.len() < MOST_COLUMNS
+            {
+                let column = Column { name: name.into(), number: kind.number(), meaning: Meaning::of(name) };
+                found.push((i, column));
+            }
+        }
+        found
+    }
+
+    /// Where in a binary record without lists a property begins.
+    pub fn offset_of(&self, property: usize) -> usize {
+        Element { properties: self.properties[..property].to_vec(), ..*self }.bytes_with(0) as usize
     }
 
     /// Bytes of a binary record whose lists have `corners` corners and nothing else.

@@ -4,9 +4,11 @@
 //! a scan in doubles, its distance from the origin, is in the node's translation, so that what is lost is less than the
 //! 16-millionth part of the mesh's own size. Axes are as the scan has them, though glTF takes y for up.
 
+use super::encode::Contents;
 use super::{Format, Sink};
 use crate::error::{Error, Result};
-use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh, widen};
+use crate::mesh::columns::{Columns, Meaning};
+use crate::mesh::{Coordinate, Extent, widen};
 use glam::DVec3;
 use serde_json::{Value, json};
 use std::io::Write;
@@ -78,12 +80,12 @@ pub(super) fn element_bytes(format: Format, vertices: u64, faces: u64) -> u64 {
 
 /// Streams the whole file.
 pub(super) fn encode<S: Coordinate, W: Write>(
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
+    contents: &Contents<'_, S>,
     format: Format,
     path: &Path,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
+    let Contents { mesh, frame, carried } = *contents;
     let at = |p: [S; 3]| widen(p).map(|x| frame.to_file(x));
     let mut extent = Extent::default();
     mesh.positions.iter().for_each(|p| extent.include(at(*p)));
@@ -104,33 +106,56 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     let short = vertices <= MOST_SHORT;
     let position_bytes = vertices as u64 * mapping.vertex_bytes();
     let index_bytes = faces as u64 * if short { 6 } else { 12 };
-    let document = json!({
+    let index_room = index_bytes.next_multiple_of(4);
+    let shades = Shades::of(carried, mapping.quantised);
+    let mut attributes = json!({ "POSITION": 0 });
+    let mut accessors = vec![
+        json!({
+            "bufferView": 0, "componentType": if mapping.quantised { 5123 } else { 5126 }, "type": "VEC3",
+            "count": vertices, "min": least.map(f64::from), "max": most.map(f64::from),
+        }),
+        json!({
+            "bufferView": 1, "componentType": if short { 5123 } else { 5125 }, "type": "SCALAR", "count": 3 * faces,
+        }),
+    ];
+    let mut views = vec![
+        view(0, position_bytes, 34962, mapping.quantised.then_some(8)),
+        view(position_bytes, index_bytes, 34963, None),
+    ];
+    let mut end = position_bytes + index_room;
+    if shades.colour.is_some() {
+        attributes["COLOR_0"] = json!(accessors.len());
+        accessors.push(json!({
+            "bufferView": views.len(), "componentType": 5123, "normalized": true, "type": "VEC4", "count": vertices,
+        }));
+        views.push(view(end, 8 * vertices as u64, 34962, None));
+        end += 8 * vertices as u64;
+    }
+    if shades.normal.is_some() {
+        attributes["NORMAL"] = json!(accessors.len());
+        accessors.push(json!({
+            "bufferView": views.len(), "componentType": 5126, "type": "VEC3", "count": vertices,
+        }));
+        views.push(view(end, 12 * vertices as u64, 34962, None));
+        end += 12 * vertices as u64;
+    }
+    let mut document = json!({
         "asset": { "version": "2.0", "generator": format!("meshmill {}", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
         "nodes": [mapping.node()],
-        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1, "mode": 4 }] }],
-        "accessors": [
-            {
-                "bufferView": 0, "componentType": if mapping.quantised { 5123 } else { 5126 }, "type": "VEC3",
-                "count": vertices, "min": least.map(f64::from), "max": most.map(f64::from),
-            },
-            { "bufferView": 1, "componentType": if short { 5123 } else { 5125 }, "type": "SCALAR", "count": 3 * faces },
-        ],
-        "bufferViews": [
-            view(0, position_bytes, 34962, mapping.quantised.then_some(8)),
-            view(position_bytes, index_bytes, 34963, None),
-        ],
-        "buffers": [{ "byteLength": position_bytes + index_bytes }],
+        "meshes": [{ "primitives": [{ "attributes": attributes, "indices": 1, "mode": 4 }] }],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{ "byteLength": end }],
     });
-    let mut document = document;
     if mapping.quantised {
         document["extensionsUsed"] = json!(["KHR_mesh_quantization"]);
         document["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
     }
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
-    let payload = (position_bytes + index_bytes).next_multiple_of(4);
+    let payload = end;
     let length = HEAD_BYTES + text.len() as u64 + payload;
     let Ok(length) = u32::try_from(length) else { return refuse("glTF binary holds 4 GiB, and this mesh takes more") };
 
@@ -154,7 +179,49 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     } else {
         sink.put_each(&mesh.faces, |face| Ok(bytemuck::cast::<_, [u8; 12]>(face.map(u32::to_le_bytes))))?;
     }
-    sink.put(&vec![0; (payload - position_bytes - index_bytes) as usize])
+    sink.put(&[0; 4][..(index_room - index_bytes) as usize])?;
+    shades.put(carried, vertices, sink)
+}
+
+/// The columns that glTF has a place for.
+struct Shades {
+    colour: Option<[usize; 3]>,
+    alpha: Option<usize>,
+    normal: Option<[usize; 3]>,
+}
+
+impl Shades {
+    fn of(carried: &Columns, quantised: bool) -> Shades {
+        // A node that stretches its axes differently would bend normals.
+        let normal = if quantised { None } else { carried.find(Meaning::Normal) };
+        let alpha = carried.find::<1>(|_| Meaning::Colour(3)).map(|[at]| at);
+        Shades { colour: carried.find(Meaning::Colour), alpha, normal }
+    }
+
+    fn put<W: Write>(&self, carried: &Columns, vertices: usize, sink: &mut Sink<'_, W>) -> Result<()> {
+        let mut record = Vec::with_capacity(12);
+        for v in (0..vertices).take_while(|_| self.colour.is_some()) {
+            record.clear();
+            let share = |c: usize| carried.columns[c].brightness(carried.of(v)[c]);
+            // Scans have colours as screens show them, glTF as light adds up.
+            let parts = self.colour.into_iter().flatten().map(|c| linear(share(c)));
+            parts
+                .chain([self.alpha.map_or(1.0, share)])
+                .for_each(|x| record.extend(((x * STEPS).round() as u16).to_le_bytes()));
+            sink.put(&record)?;
+        }
+        for v in (0..vertices).take_while(|_| self.normal.is_some()) {
+            record.clear();
+            self.normal.into_iter().flatten().for_each(|c| record.extend((carried.of(v)[c] as f32).to_le_bytes()));
+            sink.put(&record)?;
+        }
+        Ok(())
+    }
+}
+
+/// The light of a colour's part (sRGB).
+fn linear(share: f64) -> f64 {
+    if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
 }
 
 fn view(offset: u64, length: u64, target: u32, stride: Option<u32>) -> Value {

@@ -21,6 +21,7 @@ pub(crate) use sink::Sink;
 pub use target::{Target, is_stdout};
 
 use crate::error::{Error, Result};
+use crate::mesh::columns::Meaning;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -61,6 +62,19 @@ impl Format {
                 "{}: a target's name ends in .ply, .stl, .obj or .glb, this one in none of them",
                 path.display()
             ))),
+        }
+    }
+}
+
+impl Format {
+    /// Whether it has a place for a column of those that vertices carry.
+    pub fn holds(self, meaning: Meaning) -> bool {
+        match self {
+            Format::Ply | Format::PlyAscii => true,
+            Format::Obj => matches!(meaning, Meaning::Colour(0..3)),
+            Format::Glb => meaning != Meaning::Other,
+            Format::GlbQuantised => matches!(meaning, Meaning::Colour(_)),
+            Format::Stl => false,
         }
     }
 }

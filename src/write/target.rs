@@ -1,8 +1,9 @@
 //! The target of a run: checked before the work, replaced after it, in one step.
 
-use super::encode::{Header, encode};
+use super::encode::{Contents, Header, encode};
 use super::{Format, Sink};
 use crate::error::{Error, Result};
+use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::progress::{Progress, Stage};
 use std::ffi::OsStr;
@@ -94,6 +95,17 @@ impl Target {
 
     /// Writes `mesh` in the file's units and puts it in the target's place; the number of bytes.
     pub fn write_mesh<S: Coordinate>(self, mesh: &IndexedMesh<S>, frame: Frame, progress: &Progress) -> Result<u64> {
+        self.write_carrying(mesh, frame, &Columns::default(), progress)
+    }
+
+    /// The same with what its vertices carry, as far as the format holds it.
+    pub fn write_carrying<S: Coordinate>(
+        self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        carried: &Columns,
+        progress: &Progress,
+    ) -> Result<u64> {
         let header = Header {
             format: self.format,
             double: S::DOUBLE,
@@ -102,7 +114,8 @@ impl Target {
         };
         progress.begin(Stage::Write, header.element_bytes());
         let path = self.path.clone();
-        self.write_by(progress, |sink| encode(mesh, frame, &header, &path, sink))
+        let contents = Contents { mesh, frame, carried };
+        self.write_by(progress, |sink| encode(&contents, &header, &path, sink))
     }
 
     /// Has `fill` write the contents, then puts them in the target's place; the number of bytes.

@@ -1,8 +1,10 @@
 //! ASCII PLY and OBJ: every number in as few digits as read back to the same one.
 
+use super::encode::Contents;
 use super::{Format, Sink};
 use crate::error::Result;
-use crate::mesh::{Coordinate, Frame, IndexedMesh};
+use crate::mesh::Coordinate;
+use crate::mesh::columns::{Meaning, Number};
 use std::fmt;
 use std::io::Write;
 
@@ -30,18 +32,33 @@ impl<S: Coordinate> fmt::Display for Digits<S> {
 
 /// Vertices and faces, behind the header.
 pub(super) fn elements<S: Coordinate, W: Write>(
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
+    contents: &Contents<'_, S>,
     format: Format,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
+    let Contents { mesh, frame, carried } = *contents;
+    let colour = if format == Format::Obj { carried.find::<3>(Meaning::Colour) } else { None };
     let (vertex, face, base) = if format == Format::Obj { ("v ", "f", 1) } else { ("", "3", 0) };
     let mut line = Vec::with_capacity(128);
     // Writing to memory does not fail.
-    for p in &mesh.positions {
+    for (v, p) in mesh.positions.iter().enumerate() {
         let [x, y, z] = p.map(|x| Digits(S::narrow(frame.to_file(x.widen()))));
         line.clear();
-        let _ = writeln!(line, "{vertex}{x} {y} {z}");
+        let _ = write!(line, "{vertex}{x} {y} {z}");
+        if let Some(at) = colour {
+            for c in at {
+                let _ = write!(line, " {}", Digits(carried.columns[c].brightness(carried.of(v)[c]) as f32));
+            }
+        } else if format == Format::PlyAscii {
+            for (column, value) in carried.columns.iter().zip(carried.of(v)) {
+                let _ = match column.number {
+                    Number::F64 => write!(line, " {}", Digits(*value)),
+                    Number::F32 => write!(line, " {}", Digits(*value as f32)),
+                    _ => write!(line, " {}", *value as i64),
+                };
+            }
+        }
+        line.push(b'\n');
         sink.put(&line)?;
     }
     for corners in &mesh.faces {
