@@ -1,10 +1,11 @@
 //! A scan opened, looked through, and reported.
 
 use super::on_threads;
+use crate::collapse::{self, Policies};
 use crate::error::{Error, Result};
 use crate::inspect::inspect as look_through;
-use crate::job::Inspection;
-use crate::plan::{Purse, most_threads, streaming_budget};
+use crate::job::{DEFAULT_REFIT_ROUNDS, Inspection};
+use crate::plan::{Ask, Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scalar, Scan};
 use crate::report::{
@@ -28,7 +29,13 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
         let scratch = scratch.with_quota(inspection.scratch_quota.0);
         let scan = Scan::open_in(&inspection.input, &scratch, progress)?;
         let faces = inspection.target.faces(scan.triangle_count()).unwrap_or(0).max(1);
-        let purse = Purse::new(inspection.memory.0, threads, Some(faces), true);
+        let policies = Policies::default();
+        let ask = Ask {
+            target: faces,
+            refit_rounds: DEFAULT_REFIT_ROUNDS,
+            tail_bytes: collapse::tail_bytes(faces, &policies),
+        };
+        let purse = Purse::new(inspection.memory.0, threads, ask);
         let crew = Crew { workers: purse.workers, progress };
         progress.begin(Stage::Read, scan.bytes());
         let room = purse.while_streaming();
