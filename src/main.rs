@@ -13,10 +13,11 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, CompareArgs, RunArgs, SynthArgs};
-use meshmill::job::{ComparisonSaid, JobFile};
+use cli::{Cli, Command, CompareArgs, InspectArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile};
 use meshmill::progress::Progress;
-use meshmill::report::{Failure, MeshFile, Synthesis, json};
+use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
+use meshmill::write::is_stdout;
 use meshmill::{Error, Result, pipeline, synth};
 
 fn main() -> ExitCode {
@@ -25,6 +26,7 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Reduce(args) }) => reduce((*args).into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
+        Ok(Cli { command: Command::Inspect(args) }) => inspect(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
@@ -36,21 +38,25 @@ struct Saying {
     lines: Vec<String>,
     /// Why what was asked was not met, though there is a result.
     unmet: Option<String>,
+    /// Whether stdout has the result itself: words then go to stderr.
+    stdout_is_taken: bool,
 }
 
 impl Saying {
     fn new(object: String, lines: Vec<String>) -> Self {
-        Saying { object, lines, unmet: None }
+        Saying { object, lines, unmet: None, stdout_is_taken: false }
     }
 }
 
 fn reduce(said: JobFile) -> ExitCode {
     let in_json = said.report.json == Some(true);
+    let stdout_is_taken = is_stdout(&said.scan.output);
     let outcome = said.resolve().and_then(|job| working(|progress| pipeline::reduce(&job, progress)));
     let saying = outcome.map(|report| Saying {
         object: json(&report),
         lines: report.lines(),
         unmet: report.unmet.as_ref().map(|unmet| unmet.message().into()),
+        stdout_is_taken,
     });
     conclude(saying, in_json)
 }
@@ -68,8 +74,21 @@ fn run(args: RunArgs) -> ExitCode {
 
 fn compare(args: CompareArgs) -> ExitCode {
     let in_json = args.json;
+    let stdout_is_taken = args.shades_to_stdout();
+    if in_json && stdout_is_taken {
+        let what = "the report in JSON and the heat map cannot both go to standard output: name a file";
+        return conclude(Err(Error::usage(what)), true);
+    }
     let comparison = ComparisonSaid::from(args).resolve();
     let outcome = working(|progress| pipeline::compare(&comparison, progress));
+    let saying = |report: ComparisonReport| Saying { stdout_is_taken, ..Saying::new(json(&report), report.lines()) };
+    conclude(outcome.map(saying), in_json)
+}
+
+fn inspect(args: InspectArgs) -> ExitCode {
+    let in_json = args.json;
+    let inspection = InspectionSaid::from(args).resolve();
+    let outcome = working(|progress| pipeline::inspect(&inspection, progress));
     conclude(outcome.map(|report| Saying::new(json(&report), report.lines())), in_json)
 }
 
@@ -92,11 +111,16 @@ fn dry_run(said: JobFile) -> Result<Saying> {
 
 fn make_scan(args: &SynthArgs) -> ExitCode {
     let begun = Instant::now();
+    if args.json && is_stdout(&args.output) {
+        let what = "the report in JSON and the scan cannot both go to standard output: name a file";
+        return conclude(Err(Error::usage(what)), true);
+    }
     let outcome = working(|progress| synth::synth(&args.output, args.faces.0, args.seed, progress)).map(|made| {
+        let stdout_is_taken = is_stdout(&args.output);
         let output = MeshFile { path: args.output.clone(), faces: made.faces, vertices: made.vertices };
         let seconds = begun.elapsed().as_secs_f64();
         let made = Synthesis { output, bytes: made.bytes, seed: args.seed, seconds };
-        Saying::new(json(&made), vec![made.line()])
+        Saying { stdout_is_taken, ..Saying::new(json(&made), vec![made.line()]) }
     });
     conclude(outcome, args.json)
 }
@@ -116,7 +140,11 @@ fn working<T>(work: impl FnOnce(&Progress) -> Result<T>) -> Result<T> {
 /// Says how it went: with `--json` one object is all that stdout gets.
 fn conclude(outcome: Result<Saying>, in_json: bool) -> ExitCode {
     match outcome {
-        Ok(Saying { object, lines, unmet }) => {
+        Ok(Saying { lines, stdout_is_taken: true, .. }) => {
+            tell_stderr(&lines.join("\n"));
+            ExitCode::SUCCESS
+        }
+        Ok(Saying { object, lines, unmet, .. }) => {
             let words = lines.join("\n");
             let code = u8::from(unmet.is_some());
             if in_json {

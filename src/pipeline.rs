@@ -1,17 +1,21 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod inspect;
 
 pub use compare::compare;
+pub use inspect::inspect;
 
+use crate::carry::carry;
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Target, read_points};
+use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
-use crate::read::{Crew, LoadReport, Scalar, Scan, load};
+use crate::read::{Carrier, Crew, LoadReport, Scalar, Scan, load};
 use crate::refit::{self, Aim, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
@@ -25,15 +29,16 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
-        let out = write::Target::prepare(&job.output, Some(&job.input))?;
-        let scan = Scan::open(&job.input, progress)?;
+        let out = write::Target::prepare_as(&job.output, job.format, Some(&job.input))?;
+        let scratch = job.scratch();
+        let scan = Scan::open_in(&job.input, &scratch, progress)?;
         let asked = job.target.faces(scan.triangle_count());
         let target = asked.unwrap_or(0);
         let ask =
             Ask { target, refit_rounds: job.refit_rounds, tail_bytes: collapse::tail_bytes(target, &job.policies) };
         let purse = Purse::new(job.memory.0, threads, ask);
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
-        let run = Run { job, threads, progress, scan: &scan, purse, begun, locked };
+        let run = Run { job, threads, progress, scan: &scan, scratch, purse, begun, locked };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
@@ -56,6 +61,7 @@ struct Run<'a> {
     threads: usize,
     progress: &'a Progress,
     scan: &'a Scan,
+    scratch: Scratch,
     purse: Purse,
     begun: Instant,
     /// Points in the scan's units: the vertices nearest to them stay.
@@ -120,20 +126,26 @@ impl Run<'_> {
         if S::DOUBLE && out.loses_doubles() {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
+        let (wanted, lost) = self.columns(out.format());
+        if !lost.is_empty() {
+            warnings.push(Warning::NotCarried { names: lost });
+        }
+        let carried = self.carried(&wanted, &mesh, frame)?;
+        seconds.carry = clock.lap();
         let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
-        out.write_mesh(&mesh, frame, self.progress)?;
+        out.write_carrying(&mesh, frame, &carried, self.progress)?;
         seconds.write = clock.lap();
-        let (mode, cells, ratio, mut scratch_bytes) = match &source {
-            Source::Loaded(_) => (Mode::InCore, None, None, 0),
+        let (mode, cells, ratio) = match &source {
+            Source::Loaded(_) => (Mode::InCore, None, None),
             Source::Clustered(stats) => {
                 let ratio = faces as f64 / output.faces.max(1) as f64;
-                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
+                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio))
             }
         };
         drop(mesh);
         let mut deviation = None;
         if self.job.verify {
-            deviation = Some(self.verify(&mut scratch_bytes)?);
+            deviation = Some(self.verify()?);
             seconds.measure = clock.lap();
         }
         seconds.total = self.begun.elapsed().as_secs_f64();
@@ -151,7 +163,7 @@ impl Run<'_> {
             threads: self.threads,
             memory_budget_bytes: self.job.memory.0,
             peak_rss_bytes: peak_rss_bytes(),
-            scratch_bytes,
+            scratch_bytes: self.scratch.bytes(),
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
             deviation,
@@ -199,8 +211,7 @@ impl Run<'_> {
                 limit,
             };
             self.progress.begin(Stage::Cluster, 0);
-            let scratch = Scratch::in_folder(self.job.scratch_folder());
-            let clustered = cluster::<S>(self.scan, &crew, &scratch, &options)?;
+            let clustered = cluster::<S>(self.scan, &crew, &self.scratch, &options)?;
             if clustered.stats.repeated_corner_faces == self.scan.triangle_count() {
                 return Err(Error::input(self.scan.path(), "has no usable face: none has three distinct corners"));
             }
@@ -249,12 +260,38 @@ impl Run<'_> {
         }
     }
 
+    /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
+    fn columns(&self, format: write::Format) -> (Vec<usize>, Vec<String>) {
+        if !self.job.carry {
+            return (Vec::new(), Vec::new());
+        }
+        let columns = self.scan.columns();
+        let wanted: Vec<usize> = (0..columns.len()).filter(|c| format.holds(columns[*c].meaning)).collect();
+        let is_carried = |name: &str| wanted.iter().any(|c| columns[*c].name == name);
+        let mut lost: Vec<String> = Vec::new();
+        for attribute in self.scan.attributes() {
+            // What OBJ calls one attribute is columns here.
+            let held = if attribute.name == "colour" { !wanted.is_empty() } else { is_carried(&attribute.name) };
+            if !(held && attribute.carrier == Carrier::Vertex || lost.contains(&attribute.name)) {
+                lost.push(attribute.name);
+            }
+        }
+        (wanted, lost)
+    }
+
+    /// What the result's vertices carry.
+    fn carried<S: Coordinate>(&self, wanted: &[usize], mesh: &IndexedMesh<S>, frame: Frame) -> Result<Columns> {
+        if wanted.is_empty() {
+            return Ok(Columns::default());
+        }
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        carry(self.scan, wanted, mesh, frame, &crew)
+    }
+
     /// Measures the file that was written.
-    fn verify(&self, scratch_bytes: &mut u64) -> Result<DeviationFigures> {
-        let scratch = Scratch::in_folder(self.job.scratch_folder());
-        let found = compare::verify(self.scan, &self.job.output, &self.purse, &scratch, self.progress)
+    fn verify(&self) -> Result<DeviationFigures> {
+        let found = compare::verify(self.scan, &self.job.output, &self.purse, &self.scratch, self.progress)
             .map_err(|error| self.unverified(error))?;
-        *scratch_bytes = scratch.bytes().max(*scratch_bytes);
         Ok((&found).into())
     }
 

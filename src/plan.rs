@@ -108,6 +108,11 @@ impl Purse {
         Purse { bytes, ask, workers }
     }
 
+    /// The same with nothing in it: whatever is asked of it is refused, with a budget that would do.
+    pub fn poorest(&self) -> Self {
+        Purse { bytes: 0, ..*self }
+    }
+
     /// What is left for arrays while nothing streams.
     fn for_arrays(&self) -> u64 {
         self.bytes.saturating_sub(BASE_BYTES + most_threads(self.bytes) as u64 * THREAD_BYTES)

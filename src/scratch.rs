@@ -2,6 +2,7 @@
 //!
 //! They have no name (unlinked, or never linked), so that nothing is left of them however a run ends.
 
+use crate::budget::{MIB, Size};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -9,10 +10,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// The folder in which a run's scratch files are made, and how much they took.
+/// What all scratch files of a run may hold together when nothing is said: more than a scan of a billion faces takes, and
+/// a bound on what a small compressed file can do to a disk.
+pub const DEFAULT_QUOTA: Size = Size(256 << 30);
+
+/// The folder in which a run's scratch files are made, what they may take, and how much they took.
 #[derive(Debug, Clone)]
 pub struct Scratch {
     folder: Arc<PathBuf>,
+    quota_bytes: u64,
+    memory_bytes: u64,
     counts: Arc<Counts>,
 }
 
@@ -28,7 +35,27 @@ impl Scratch {
     pub fn in_folder(folder: &Path) -> Scratch {
         // The folder that a bare file name is in has the empty path.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        Scratch { folder: Arc::new(folder.to_path_buf()), counts: Arc::default() }
+        Scratch {
+            folder: Arc::new(folder.to_path_buf()),
+            quota_bytes: DEFAULT_QUOTA.0,
+            memory_bytes: 512 * MIB,
+            counts: Arc::default(),
+        }
+    }
+
+    /// With so many bytes for all files together.
+    pub fn with_quota(self, bytes: u64) -> Scratch {
+        Scratch { quota_bytes: bytes, ..self }
+    }
+
+    /// With so many bytes of memory for those that fill it.
+    pub fn with_memory(self, bytes: u64) -> Scratch {
+        Scratch { memory_bytes: bytes, ..self }
+    }
+
+    /// Bytes of memory that who fills it may use.
+    pub fn memory(&self) -> u64 {
+        self.memory_bytes
     }
 
     /// The folder.
@@ -65,17 +92,20 @@ pub struct ScratchFile {
 impl ScratchFile {
     /// Writes all of `bytes` at `offset`.
     pub fn write_all_at(&self, bytes: &[u8], offset: u64) -> Result<()> {
-        self.file
-            .write_all_at(bytes, offset)
-            .map_err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder"))?;
+        let refuse = |e| Error::io(&self.scratch.folder, "cannot write a scratch file in this folder")(e);
         let counts = &self.scratch.counts;
-        counts.written.fetch_add(bytes.len() as u64, Relaxed);
         let end = offset + bytes.len() as u64;
         let before = self.length.fetch_max(end, Relaxed);
         if end > before {
             let held = counts.held.fetch_add(end - before, Relaxed) + (end - before);
+            if held > self.scratch.quota_bytes {
+                let what = format!("more than the quota of {} is needed", Size(self.scratch.quota_bytes));
+                return Err(refuse(std::io::Error::new(std::io::ErrorKind::QuotaExceeded, what)));
+            }
             counts.peak.fetch_max(held, Relaxed);
         }
+        self.file.write_all_at(bytes, offset).map_err(refuse)?;
+        counts.written.fetch_add(bytes.len() as u64, Relaxed);
         Ok(())
     }
 
@@ -136,6 +166,21 @@ mod tests {
         third.write_all_at(&[1; 60], 0).unwrap();
         assert_eq!(scratch.bytes(), 6450, "space given back is not counted twice");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn a_quota_is_kept_by_all_files_together() {
+        let folder = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_folder(folder.path()).with_quota(1000);
+        let (one, two) = (scratch.file().unwrap(), scratch.file().unwrap());
+        one.write_all_at(&[1; 600], 0).unwrap();
+        two.write_all_at(&[2; 400], 0).unwrap();
+        one.write_all_at(&[3; 600], 0).unwrap();
+        let error = two.write_all_at(&[2; 1], 400).unwrap_err();
+        assert!(error.to_string().ends_with("more than the quota of 1MiB is needed"), "{error}");
+        drop(one);
+        let three = scratch.file().unwrap();
+        three.write_all_at(&[2; 500], 0).unwrap();
     }
 
     #[test]

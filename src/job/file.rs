@@ -38,6 +38,7 @@ use crate::budget::Size;
 use crate::cluster::Representative;
 use crate::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
+use crate::write::{Format, is_stdout};
 
 /// A job as it was said, in a file or on the command line.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -71,6 +72,12 @@ pub struct ScanTable {
     pub input: PathBuf,
     /// The mesh to write; its extension names the format.
     pub output: PathBuf,
+    /// The format to write, where the extension does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub format: Option<Format>,
+    /// Whether the result gets what the scan's vertices carry: colours, normals, any other number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub carry: Option<bool>,
     /// Target: this many faces.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub faces: Option<Count>,
@@ -96,6 +103,10 @@ pub struct RunTable {
     /// Folder for spills.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scratch: Option<PathBuf>,
+    /// What may be in that folder at one time.
+    #[serde(default, deserialize_with = "as_written", serialize_with = "write_size")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scratch_quota: Option<Size>,
 }
 
 /// `[cluster]`
@@ -181,8 +192,8 @@ pub struct ReportTable {
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
 const KEYS: [(&str, &[&str]); 6] = [
-    ("scan", &["input", "output", "faces", "ratio", "max_error"]),
-    ("run", &["memory", "threads", "scratch"]),
+    ("scan", &["input", "output", "format", "carry", "faces", "ratio", "max_error"]),
+    ("run", &["memory", "threads", "scratch", "scratch_quota"]),
     ("cluster", &["representative"]),
     (
         "collapse",
@@ -246,9 +257,10 @@ impl JobFile {
         KEYS.iter().flat_map(|(_, keys)| keys.iter().copied())
     }
 
-    /// Rewrites every path.
+    /// Rewrites every path, but not standard input and output.
     pub fn move_paths(&mut self, to: impl Fn(&Path) -> PathBuf) {
         let files = [&mut self.scan.input, &mut self.scan.output].into_iter();
+        let files = files.filter(|path| !is_stdout(path));
         for path in files.chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
             *path = to(path);
         }

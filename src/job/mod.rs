@@ -2,11 +2,13 @@
 
 mod comparison;
 mod file;
+mod inspection;
 mod points;
 mod quantity;
 
 pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
+pub use inspection::{Inspection, InspectionSaid};
 pub use points::read_points;
 pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight};
 
@@ -17,6 +19,8 @@ use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
 use crate::collapse::{Features, Placement, Policies, Primitive, Topology};
 use crate::error::{Error, Result};
+use crate::scratch::{DEFAULT_QUOTA, Scratch};
+use crate::write::{Format, is_stdout};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
 pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
@@ -70,6 +74,8 @@ pub struct Job {
     pub input: PathBuf,
     /// The mesh to write.
     pub output: PathBuf,
+    /// In which format.
+    pub format: Format,
     /// How far to reduce.
     pub target: Target,
     /// Bound on the whole process's peak resident set.
@@ -78,12 +84,16 @@ pub struct Job {
     pub threads: usize,
     /// Folder for spills; [`Job::scratch_folder`] fills in the default.
     pub scratch: Option<PathBuf>,
+    /// What may be in it at one time.
+    pub scratch_quota: Size,
     /// How clustering places a cell's vertex.
     pub representative: Representative,
     /// How the collapse is steered; lengths are in the scan's units.
     pub policies: Policies,
     /// A list of points: the vertices nearest to them stay where they are.
     pub lock_vertices: Option<PathBuf>,
+    /// Whether the result gets what the scan's vertices carry.
+    pub carry: bool,
     /// Rounds of refit.
     pub refit_rounds: u32,
     /// Whether the result is measured against the scan.
@@ -118,16 +128,28 @@ impl JobFile {
             None if policies.placement == Placement::Endpoint => 0,
             None => DEFAULT_REFIT_ROUNDS,
         };
+        let format = self.scan.format.map_or_else(|| Format::of(&self.scan.output), Ok)?;
+        if is_stdout(&self.scan.output) {
+            let taken = [(self.report.json, "the report in JSON"), (self.report.verify, "what `verify` measures")];
+            if let Some((_, what)) = taken.into_iter().find(|(asked, _)| *asked == Some(true)) {
+                return Err(Error::usage(format!(
+                    "{what} and the mesh cannot both go to standard output: name a file"
+                )));
+            }
+        }
         Ok(Job {
+            format,
             target: self.scan.target().map_err(Error::usage)?,
             input: self.scan.input,
             output: self.scan.output,
             memory: self.run.memory.unwrap_or(DEFAULT_MEMORY),
             threads: self.run.threads.map_or_else(cores, |Threads(n)| n),
             scratch: self.run.scratch,
+            scratch_quota: self.run.scratch_quota.unwrap_or(DEFAULT_QUOTA),
             representative: self.cluster.representative.unwrap_or_default(),
             policies,
             lock_vertices: self.collapse.lock_vertices,
+            carry: self.scan.carry.unwrap_or(true),
             refit_rounds,
             verify: self.report.verify.unwrap_or(false),
         })
@@ -196,9 +218,16 @@ impl Job {
         }
     }
 
+    /// Where spills go, and how much of them.
+    pub fn scratch(&self) -> Scratch {
+        Scratch::in_folder(self.scratch_folder()).with_quota(self.scratch_quota.0).with_memory(self.memory.0)
+    }
+
     /// The job file that says this job in full: nothing is left to a default.
     pub fn said(&self) -> JobFile {
-        let mut scan = ScanTable { input: self.input.clone(), output: self.output.clone(), ..Default::default() };
+        let (input, output, format) = (self.input.clone(), self.output.clone(), Some(self.format));
+        let mut scan = ScanTable { input, output, format, ..Default::default() };
+        scan.carry = Some(self.carry);
         match self.target {
             Target::Faces(n) => scan.faces = Some(Count(n)),
             Target::Ratio(r) => scan.ratio = Some(Ratio(r)),
@@ -210,6 +239,7 @@ impl Job {
                 memory: Some(self.memory),
                 threads: Some(Threads(self.threads)),
                 scratch: Some(self.scratch_folder().into()),
+                scratch_quota: Some(self.scratch_quota),
             },
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },

@@ -21,11 +21,13 @@ pub fn compare(comparison: &Comparison, progress: &Progress) -> Result<Compariso
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = comparison.heatmap.as_deref().map(|path| target(path, comparison)).transpose()?;
-        let a = Scan::open(&comparison.a, progress)?;
-        let b = Scan::open(&comparison.b, progress)?;
+        let scratch = Scratch::in_folder(&comparison.scratch).with_memory(comparison.memory.0);
+        let scratch = scratch.with_quota(comparison.scratch_quota.0);
+        let a = Scan::open_in(&comparison.a, &scratch, progress)?;
+        let b = Scan::open_in(&comparison.b, &scratch, progress)?;
         let pair = Pair { a: &a, b: &b };
         let purse = Purse::new(comparison.memory.0, threads, Ask::default());
-        let run = Run { comparison, threads, progress, pair, purse, begun };
+        let run = Run { comparison, threads, progress, pair, scratch, purse, begun };
         match pair.held().scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
@@ -46,6 +48,7 @@ struct Run<'a> {
     threads: usize,
     progress: &'a Progress,
     pair: Pair<'a>,
+    scratch: Scratch,
     purse: Purse,
     begun: Instant,
 }
@@ -57,9 +60,8 @@ impl Run<'_> {
         let options = Options { samples, most_vertices, seed, shades: out.is_some(), array_bytes };
         let mut clock = Clock::new(self.begun);
         let mut seconds = ComparisonTimeline { read: clock.lap(), ..Default::default() };
-        let scratch = Scratch::in_folder(&self.comparison.scratch);
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
-        let measured = measure::<S>(self.pair, &crew, &scratch, &options).map_err(whole_budget)?;
+        let measured = measure::<S>(self.pair, &crew, &self.scratch, &options).map_err(whole_budget)?;
         seconds.measure = clock.lap();
         let heatmap = out.map(|out| self.shade(out, &measured)).transpose()?;
         seconds.write = clock.lap();
@@ -73,7 +75,7 @@ impl Run<'_> {
             threads: self.threads,
             memory_budget_bytes: self.comparison.memory.0,
             peak_rss_bytes: peak_rss_bytes(),
-            scratch_bytes: scratch.bytes(),
+            scratch_bytes: self.scratch.bytes(),
             seconds,
             warnings: [self.pair.a, self.pair.b].into_iter().filter_map(trailing).collect(),
         })
@@ -111,7 +113,7 @@ pub(super) fn verify(
     scratch: &Scratch,
     progress: &Progress,
 ) -> Result<Deviation> {
-    let result = Scan::open(output, progress)?;
+    let result = Scan::open_in(output, scratch, progress)?;
     let pair = Pair { a: scan, b: &result };
     let crew = Crew { workers: purse.workers, progress };
     match pair.held().scalar() {

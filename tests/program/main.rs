@@ -5,6 +5,8 @@ mod borders;
 mod compare;
 mod counts;
 mod determinism;
+mod formats;
+mod inspect;
 mod interrupt;
 mod job;
 mod memory;
