@@ -7,7 +7,7 @@ use meshmill::budget::Size;
 use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use meshmill::job::{
     CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable,
-    ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
+    RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
 };
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
@@ -36,6 +36,8 @@ pub enum Command {
     Compare(CompareArgs),
     /// Make a realistic scan of any size
     Synth(SynthArgs),
+    /// Take a picture of meshes, side by side, seen by the same camera
+    Render(RenderArgs),
 }
 
 /// `meshmill reduce`
@@ -238,6 +240,64 @@ pub struct SynthArgs {
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
     pub json: bool,
+}
+
+/// `meshmill render`
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Meshes: PLY or STL, binary or ASCII; the first decides where all are seen from
+    #[arg(value_name = "MESH", required = true)]
+    meshes: Vec<PathBuf>,
+
+    /// The picture to write: .png
+    #[arg(short, long, value_name = "OUT.png")]
+    output: PathBuf,
+
+    /// Pixels of each mesh's picture, across [default: 640]
+    #[arg(long, value_name = "PIXELS")]
+    width: Option<usize>,
+
+    /// Pixels of each mesh's picture, down [default: by the first mesh's shape]
+    #[arg(long, value_name = "PIXELS")]
+    height: Option<usize>,
+
+    /// A second row of pictures, closer by this factor
+    #[arg(long, value_name = "FACTOR", allow_negative_numbers = true)]
+    zoom: Option<f64>,
+
+    /// What is in the middle of the second row: X,Y,Z [default: where most is to be seen]
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true, requires = "zoom")]
+    at: Option<[f64; 3]>,
+
+    /// Draw the edges of triangles
+    #[arg(long)]
+    edges: bool,
+
+    /// Bound on the whole process's peak resident memory, like 512MiB or 2GiB [default: 512MiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    memory: Option<Size>,
+
+    /// Worker threads; the picture does not depend on them [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    threads: Option<Threads>,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Three coordinates.
+fn place(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|x| x.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    numbers.and_then(|xs| xs.try_into().ok()).ok_or_else(|| format!("`{text}` is not a place: write it like 1.5,0,-2"))
+}
+
+impl From<RenderArgs> for RenderingSaid {
+    fn from(args: RenderArgs) -> Self {
+        let RenderArgs { meshes, output, width, height, zoom, at, edges, memory, threads, json: _ } = args;
+        RenderingSaid { meshes, output, width, height, zoom, at, edges, memory, threads }
+    }
 }
 
 impl From<CompareArgs> for ComparisonSaid {

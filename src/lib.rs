@@ -19,10 +19,11 @@
 //! | [`refit`] | that mesh, and a finer one that it stands for | the same mesh, closer to the scan |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
+//! | [`picture`] | a scan, a camera | what it looks like |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
-//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster` and `measure` stream through `read`; none of them
+//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure` and `picture` stream through `read`; none of them
 //! knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
@@ -50,6 +51,7 @@ pub mod error;
 pub mod job;
 pub mod measure;
 pub mod mesh;
+pub mod picture;
 pub mod pipeline;
 pub mod plan;
 pub mod progress;

@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, CompareArgs, RunArgs, SynthArgs};
-use meshmill::job::{ComparisonSaid, JobFile};
+use cli::{Cli, Command, CompareArgs, RenderArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, JobFile, RenderingSaid};
 use meshmill::progress::Progress;
 use meshmill::report::{Failure, MeshFile, Synthesis, json};
 use meshmill::{Error, Result, pipeline, synth};
@@ -26,6 +26,7 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Run(args) }) => run(args),
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
+        Ok(Cli { command: Command::Render(args) }) => render(args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
 }
@@ -71,6 +72,13 @@ fn compare(args: CompareArgs) -> ExitCode {
     let comparison = ComparisonSaid::from(args).resolve();
     let outcome = working(|progress| pipeline::compare(&comparison, progress));
     conclude(outcome.map(|report| Saying::new(json(&report), report.lines())), in_json)
+}
+
+fn render(args: RenderArgs) -> ExitCode {
+    let in_json = args.json;
+    let outcome = RenderingSaid::from(args).resolve();
+    let outcome = outcome.and_then(|rendering| working(|progress| pipeline::render(&rendering, progress)));
+    conclude(outcome.map(|report| Saying::new(json(&report), vec![report.line()])), in_json)
 }
 
 /// The job in full, as a job file that can be run from anywhere.

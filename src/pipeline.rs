@@ -1,8 +1,10 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod render;
 
 pub use compare::compare;
+pub use render::render;
 
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
@@ -46,6 +48,11 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) 
         .build()
         .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
     pool.install(work)
+}
+
+/// Who streams a scan within a budget.
+fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
+    Crew { workers: purse.workers, progress }
 }
 
 /// One reduction under way.

@@ -22,12 +22,14 @@ pub enum Stage {
     Write = 4,
     /// Measuring how far two meshes are from each other.
     Measure = 5,
+    /// Taking pictures.
+    Render = 6,
 }
 
 impl Stage {
     /// The stage's word in reports and on the terminal.
     pub fn word(self) -> &'static str {
-        ["read", "cluster", "collapse", "refit", "write", "measure"][self as usize]
+        ["read", "cluster", "collapse", "refit", "write", "measure", "render"][self as usize]
     }
 }
 
@@ -66,7 +68,8 @@ impl Progress {
             2 => Stage::Collapse,
             3 => Stage::Refit,
             4 => Stage::Write,
-            _ => Stage::Measure,
+            5 => Stage::Measure,
+            _ => Stage::Render,
         };
         (stage, self.done.load(Relaxed), self.total.load(Relaxed))
     }

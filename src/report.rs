@@ -344,6 +344,34 @@ impl Synthesis {
     }
 }
 
+/// What `render` made.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RenderReport {
+    /// The meshes, from left to right.
+    pub meshes: Vec<MeshFile>,
+    /// The picture that was written.
+    #[serde(serialize_with = "lossy")]
+    pub picture: PathBuf,
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// Size of the file.
+    pub bytes: u64,
+    /// The process's peak resident set.
+    pub peak_rss_bytes: Option<u64>,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+impl RenderReport {
+    /// One plain line.
+    pub fn line(&self) -> String {
+        let RenderReport { width, height, bytes, seconds, .. } = self;
+        format!("{}: {width} × {height} pixels, {}, {seconds:.2} s", self.picture.display(), count(*bytes, "byte"))
+    }
+}
+
 /// The JSON object of anything that is reported: `schema` and `version`, then its own keys. Numbers that are not finite
 /// come out as `null`.
 pub fn json(body: &impl Serialize) -> String {

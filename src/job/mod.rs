@@ -4,11 +4,13 @@ mod comparison;
 mod file;
 mod points;
 mod quantity;
+mod rendering;
 
 pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
 pub use points::read_points;
 pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight};
+pub use rendering::{DEFAULT_WIDTH, Rendering, RenderingSaid};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};

@@ -14,7 +14,7 @@ mod target;
 pub(crate) use encode::{Header, ply_face, ply_vertex, stl_facet};
 pub use shaded::Shading;
 pub(crate) use sink::Sink;
-pub use target::Target;
+pub use target::{Target, WholeFile, sweep};
 
 use crate::error::{Error, Result};
 use std::path::Path;
