@@ -7,7 +7,7 @@ use meshmill::budget::Size;
 use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
 use meshmill::job::{
     CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable,
-    RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
+    RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
 };
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
@@ -72,6 +72,10 @@ pub struct ReduceArgs {
     /// Folder for spills [default: OUT's folder]
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
+
+    /// Bound on what spills take at one time [default: none]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    scratch_quota: Option<Size>,
 
     /// Measure the result against the scan, as `compare` does, and report it; with --max-error, exit with 1 where the
     /// measured distance is larger
@@ -311,8 +315,20 @@ impl From<ReduceArgs> for JobFile {
     fn from(args: ReduceArgs) -> Self {
         let TargetArgs { faces, ratio, max_error } = args.target;
         JobFile {
-            scan: ScanTable { input: args.input, output: args.output, faces, ratio, max_error },
-            run: RunTable { memory: args.memory, threads: args.threads, scratch: args.scratch },
+            scan: Scans::One(Box::new(ScanTable {
+                input: vec![args.input],
+                output: Some(args.output),
+                faces: faces.into_iter().collect(),
+                ratio: ratio.into_iter().collect(),
+                max_error,
+                ..Default::default()
+            })),
+            run: RunTable {
+                memory: args.memory,
+                threads: args.threads,
+                scratch: args.scratch,
+                scratch_quota: args.scratch_quota,
+            },
             collapse: args.collapse.into(),
             refit: RefitTable { rounds: args.refit },
             report: ReportTable { json: Some(args.json), verify: Some(args.verify) },

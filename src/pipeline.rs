@@ -162,6 +162,10 @@ impl Run<'_> {
         })
     }
 
+    fn scratch(&self) -> Scratch {
+        Scratch::in_folder(self.job.scratch_folder()).within(self.job.scratch_quota)
+    }
+
     /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
     fn intermediate<S: Coordinate>(&self, asked: Option<u64>) -> Result<Intermediate<S>> {
         if let Some(most_vertices) = self.purse.in_core::<S>(self.scan) {
@@ -200,7 +204,7 @@ impl Run<'_> {
                 limit,
             };
             self.progress.begin(Stage::Cluster, 0);
-            let scratch = Scratch::in_folder(self.job.scratch_folder());
+            let scratch = self.scratch();
             let clustered = cluster::<S>(self.scan, &crew, &scratch, &options)?;
             if clustered.stats.repeated_corner_faces == self.scan.triangle_count() {
                 return Err(Error::input(self.scan.path(), "has no usable face: none has three distinct corners"));
@@ -250,7 +254,7 @@ impl Run<'_> {
 
     /// Measures the file that was written.
     fn verify(&self, scratch_bytes: &mut u64) -> Result<DeviationFigures> {
-        let scratch = Scratch::in_folder(self.job.scratch_folder());
+        let scratch = self.scratch();
         let found = compare::verify(self.scan, &self.job.output, &self.purse, &scratch, self.progress)
             .map_err(|error| self.unverified(error))?;
         *scratch_bytes = scratch.bytes().max(*scratch_bytes);

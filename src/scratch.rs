@@ -2,8 +2,10 @@
 //!
 //! They have no name (unlinked, or never linked), so that nothing is left of them however a run ends.
 
+use crate::budget::Size;
 use crate::error::{Error, Result};
 use std::fs::File;
+use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,6 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 pub struct Scratch {
     folder: Arc<PathBuf>,
     counts: Arc<Counts>,
+    quota: u64,
 }
 
 #[derive(Debug, Default)]
@@ -28,7 +31,12 @@ impl Scratch {
     pub fn in_folder(folder: &Path) -> Scratch {
         // The folder that a bare file name is in has the empty path.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        Scratch { folder: Arc::new(folder.to_path_buf()), counts: Arc::default() }
+        Scratch { folder: Arc::new(folder.to_path_buf()), counts: Arc::default(), quota: u64::MAX }
+    }
+
+    /// Refuses to hold more than so many bytes at one time.
+    pub fn within(self, quota: Option<Size>) -> Scratch {
+        Scratch { quota: quota.map_or(u64::MAX, |Size(bytes)| bytes), ..self }
     }
 
     /// The folder.
@@ -65,17 +73,22 @@ pub struct ScratchFile {
 impl ScratchFile {
     /// Writes all of `bytes` at `offset`.
     pub fn write_all_at(&self, bytes: &[u8], offset: u64) -> Result<()> {
-        self.file
-            .write_all_at(bytes, offset)
-            .map_err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder"))?;
         let counts = &self.scratch.counts;
-        counts.written.fetch_add(bytes.len() as u64, Relaxed);
         let end = offset + bytes.len() as u64;
         let before = self.length.fetch_max(end, Relaxed);
         if end > before {
             let held = counts.held.fetch_add(end - before, Relaxed) + (end - before);
+            if held > self.scratch.quota {
+                let quota = Size(self.scratch.quota);
+                let full = io::Error::new(io::ErrorKind::QuotaExceeded, format!("more than the quota of {quota}"));
+                return Err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder")(full));
+            }
             counts.peak.fetch_max(held, Relaxed);
         }
+        self.file
+            .write_all_at(bytes, offset)
+            .map_err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder"))?;
+        counts.written.fetch_add(bytes.len() as u64, Relaxed);
         Ok(())
     }
 
@@ -136,6 +149,17 @@ mod tests {
         third.write_all_at(&[1; 60], 0).unwrap();
         assert_eq!(scratch.bytes(), 6450, "space given back is not counted twice");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn a_quota_is_kept_and_space_given_back_counts_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_folder(folder.path()).within(Some(Size(1000)));
+        let file = scratch.file().unwrap();
+        file.write_all_at(&[1; 900], 0).unwrap();
+        assert!(scratch.file().unwrap().write_all_at(&[1; 200], 0).unwrap_err().to_string().contains("quota"));
+        drop(file);
+        scratch.file().unwrap().write_all_at(&[1; 1000], 0).unwrap();
     }
 
     #[test]

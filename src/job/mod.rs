@@ -2,15 +2,19 @@
 
 mod comparison;
 mod file;
+mod night;
 mod points;
 mod quantity;
 mod rendering;
+mod scans;
 
 pub use comparison::{Comparison, ComparisonSaid};
-pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
+pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable};
+pub use night::{NightTable, Order, Span, TimeOfDay};
 pub use points::read_points;
 pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight};
 pub use rendering::{DEFAULT_WIDTH, Rendering, RenderingSaid};
+pub use scans::{ScanTable, Scans};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -40,13 +44,51 @@ pub enum Target {
     MaxError(f64),
 }
 
+/// What is said in layers, one over another.
+pub trait Layer {
+    /// This, and where it says nothing what is below it.
+    fn over(self, below: Self) -> Self;
+}
+
+/// One more mesh of the same scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    /// How far to reduce.
+    pub target: Target,
+    /// The mesh to write.
+    pub output: PathBuf,
+}
+
 impl Target {
+    /// The larger, the more is kept.
+    fn fineness(self) -> f64 {
+        match self {
+            Target::Faces(n) => n as f64,
+            Target::Ratio(r) => r,
+            Target::MaxError(x) => -x,
+        }
+    }
+
     /// The count that is asked of a scan of `scan_faces` faces; `None` where a distance is asked instead.
     pub fn faces(self, scan_faces: u64) -> Option<u64> {
         match self {
             Target::Faces(n) => Some(n),
             Target::Ratio(r) => Some(share_of(scan_faces, r)),
             Target::MaxError(_) => None,
+        }
+    }
+}
+
+impl std::fmt::Display for Target {
+    /// As a person would write it, and as part of a file's name: `2M`, `1500`, `10pct`, `0.05`.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match *self {
+            Target::Faces(n) if n > 0 && n.is_multiple_of(1_000_000) => write!(f, "{}M", n / 1_000_000),
+            Target::Faces(n) if n > 0 && n.is_multiple_of(1000) => write!(f, "{}k", n / 1000),
+            Target::Faces(n) => write!(f, "{n}"),
+            // Not by multiplication: 0.07 times 100 has a tail.
+            Target::Ratio(r) => write!(f, "{}pct", format!("{r}e2").parse().unwrap_or(100.0 * r)),
+            Target::MaxError(x) => write!(f, "{x}"),
         }
     }
 }
@@ -74,12 +116,16 @@ pub struct Job {
     pub output: PathBuf,
     /// How far to reduce.
     pub target: Target,
+    /// Further meshes, each coarser than the one before it.
+    pub coarser: Vec<Level>,
     /// Bound on the whole process's peak resident set.
     pub memory: Size,
     /// Worker threads, at least 1; changes nothing in the result.
     pub threads: usize,
     /// Folder for spills; [`Job::scratch_folder`] fills in the default.
     pub scratch: Option<PathBuf>,
+    /// Bound on what spills take at one time.
+    pub scratch_quota: Option<Size>,
     /// How clustering places a cell's vertex.
     pub representative: Representative,
     /// How the collapse is steered; lengths are in the scan's units.
@@ -93,8 +139,29 @@ pub struct Job {
 }
 
 impl JobFile {
-    /// Fills in the defaults.
+    /// Fills in the defaults of a job of one scan and one mesh.
     pub fn resolve(self) -> Result<Job> {
+        let output = match &self.scan {
+            Scans::One(scan) => scan.output.clone(),
+            Scans::Several(_) => None,
+        };
+        let output = output.ok_or_else(|| Error::usage("a job of one scan says where its mesh goes"))?;
+        self.resolve_to(vec![output])
+    }
+
+    /// Fills in the defaults of a job of one scan, whose meshes go there: one for each target, the finest first.
+    pub fn resolve_to(self, outputs: Vec<PathBuf>) -> Result<Job> {
+        let Scans::One(scan) = self.scan else { return Err(Error::usage("more than one scan")) };
+        let mut targets = scan.targets().map_err(Error::usage)?;
+        let [input] = &scan.input[..] else { return Err(Error::usage("more than one scan")) };
+        if targets.len() != outputs.len() {
+            return Err(Error::usage("one mesh is written for each target"));
+        }
+        let target = targets.remove(0);
+        let mut outputs = outputs.into_iter();
+        let output = outputs.next().unwrap_or_default();
+        let coarser = targets.into_iter().zip(outputs).map(|(target, output)| Level { target, output }).collect();
+
         let policies = self.collapse.policies();
         let refit_rounds = match self.refit.rounds {
             Some(Rounds(n)) if n > 0 && policies.placement == Placement::Endpoint => {
@@ -106,12 +173,14 @@ impl JobFile {
             None => DEFAULT_REFIT_ROUNDS,
         };
         Ok(Job {
-            target: self.scan.target().map_err(Error::usage)?,
-            input: self.scan.input,
-            output: self.scan.output,
+            target,
+            coarser,
+            input: input.clone(),
+            output,
             memory: self.run.memory.unwrap_or(DEFAULT_MEMORY),
             threads: self.run.threads.map_or_else(cores, |Threads(n)| n),
             scratch: self.run.scratch,
+            scratch_quota: self.run.scratch_quota,
             representative: self.cluster.representative.unwrap_or_default(),
             policies,
             lock_vertices: self.collapse.lock_vertices,
@@ -165,7 +234,7 @@ impl From<Policies> for CollapseTable {
 }
 
 /// The cores that this process may use.
-fn cores() -> usize {
+pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, NonZero::get).min(Threads::MOST)
 }
 
@@ -181,18 +250,23 @@ impl Job {
 
     /// The job file that says this job in full: nothing is left to a default.
     pub fn said(&self) -> JobFile {
-        let mut scan = ScanTable { input: self.input.clone(), output: self.output.clone(), ..Default::default() };
-        match self.target {
-            Target::Faces(n) => scan.faces = Some(Count(n)),
-            Target::Ratio(r) => scan.ratio = Some(Ratio(r)),
-            Target::MaxError(x) => scan.max_error = Some(Length(x)),
+        let input = vec![self.input.clone()];
+        let mut scan = ScanTable { input, output: Some(self.output.clone()), ..Default::default() };
+        for target in std::iter::once(self.target).chain(self.coarser.iter().map(|level| level.target)) {
+            match target {
+                Target::Faces(n) => scan.faces.push(Count(n)),
+                Target::Ratio(r) => scan.ratio.push(Ratio(r)),
+                Target::MaxError(x) => scan.max_error = Some(Length(x)),
+            }
         }
         JobFile {
-            scan,
+            scan: Scans::One(scan.into()),
+            night: None,
             run: RunTable {
                 memory: Some(self.memory),
                 threads: Some(Threads(self.threads)),
                 scratch: Some(self.scratch_folder().into()),
+                scratch_quota: self.scratch_quota,
             },
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },
