@@ -4,10 +4,10 @@ use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
 use meshmill::budget::Size;
-use meshmill::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
+use meshmill::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use meshmill::job::{
-    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Ratio, RefitTable,
-    RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
+    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Pairs, Ratio,
+    RefitTable, RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
 };
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
@@ -29,7 +29,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Reduce one scan
-    Reduce(ReduceArgs),
+    Reduce(Box<ReduceArgs>),
     /// Reduce what a job file says
     Run(RunArgs),
     /// Measure how far two meshes are from each other, both ways
@@ -159,6 +159,14 @@ struct CollapseArgs {
     /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
     #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
     topology: Option<Topology>,
+
+    /// Vertices of different pieces, or on borders, may merge when closer than this: a length, or auto
+    #[arg(long, value_name = "LENGTH|auto", allow_negative_numbers = true)]
+    pair_distance: Option<Pairs>,
+
+    /// What collapses within ten times the target: edge or face [default: edge]
+    #[arg(long, value_name = "WHICH", value_parser = word::<Primitive>)]
+    primitive: Option<Primitive>,
 }
 
 /// One of the words that a job file takes.
@@ -353,6 +361,8 @@ impl From<CollapseArgs> for CollapseTable {
             compactness: args.compactness,
             valence_penalty: args.valence_penalty,
             topology: args.topology,
+            pair_distance: args.pair_distance,
+            primitive: args.primitive,
         }
     }
 }

@@ -22,7 +22,7 @@ use meshmill::{Error, Result, pipeline, synth};
 fn main() -> ExitCode {
     let args: Vec<OsString> = std::env::args_os().collect();
     match Cli::try_parse_from(&args) {
-        Ok(Cli { command: Command::Reduce(args) }) => reduce(args.into()),
+        Ok(Cli { command: Command::Reduce(args) }) => reduce((*args).into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),

@@ -35,8 +35,10 @@ mod batch;
 mod check;
 mod classify;
 mod commit;
+mod faces;
 mod groups;
 mod hold;
+mod join;
 mod pairs;
 mod penalty;
 mod pieces;
@@ -48,7 +50,9 @@ mod weigh;
 
 pub use classify::Irregularities;
 pub use pieces::Dropped;
-pub use policy::{Features, FoldCheck, Least, Placement, Policies, Quadrics, Topology, Weighting};
+pub use policy::{
+    Features, FoldCheck, Least, PairDistance, Placement, Policies, Primitive, Quadrics, Topology, Weighting,
+};
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
@@ -143,6 +147,10 @@ const PAIRS_SLACK: f64 = 1.5;
 /// hundred faces are asked for, each matters, and 1,000 take about 10 ms.
 const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
+
+/// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for more
+/// than ten times the target neither matters yet.
+const SERIAL_FACES: usize = 50_000;
 
 /// Where a round of groups removes fewer than one face in this many, pairs go on.
 const GROUPS_STALL: usize = 10;
@@ -253,7 +261,10 @@ struct Rounds<'a, S> {
 impl<'a, S: Coordinate> Rounds<'a, S> {
     fn new(options: &'a Options<'a>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
-        let tail = TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize);
+        let tail = match options.policies.ends_serially() {
+            false => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
+            true => SERIAL_FACES.max(options.target.saturating_mul(LAST_FACTOR - 1)),
+        };
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
         Rounds { options, batch: Batch::new(), floor, reference: None, count: 0, paired: bounded, stalled: false }
     }

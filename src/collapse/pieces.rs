@@ -85,6 +85,18 @@ impl Pieces {
         }
     }
 
+    /// The pieces of two vertices have become one: it is lost when both are.
+    pub fn join(&mut self, a: u32, b: u32) {
+        let (Some(&p), Some(&q)) = (self.of.get(a as usize), self.of.get(b as usize)) else { return };
+        if p == q {
+            return;
+        }
+        let (one, other) = (self.list[p as usize], self.list[q as usize]);
+        let stake = if one.stake == 0.0 || other.stake == 0.0 { 0.0 } else { one.stake + other.stake };
+        self.list[p as usize] = Piece { faces: one.faces + other.faces, last: one.last.min(other.last), stake };
+        self.of.iter_mut().filter(|piece| **piece == q).for_each(|piece| *piece = p);
+    }
+
     /// What a collapse at `v` costs, stakes included.
     #[inline(always)]
     pub fn price(&self, v: u32, cost: f32) -> f32 {

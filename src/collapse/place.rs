@@ -56,7 +56,7 @@ fn on_line(q: &Quadric, half: DVec3) -> Candidate {
 
 /// The best of some places, the first of those that are alike.
 #[inline(always)]
-fn best(q: &Quadric, steps: impl IntoIterator<Item = DVec3>) -> Candidate {
+pub(super) fn best(q: &Quadric, steps: impl IntoIterator<Item = DVec3>) -> Candidate {
     let mut best = Candidate { step: DVec3::ZERO, cost: f64::INFINITY };
     for step in steps {
         let cost = q.value(step);

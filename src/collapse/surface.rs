@@ -210,7 +210,7 @@ impl<S: Coordinate> Surface<S> {
     }
 
     /// The lines of the border edges at `v`: to neighbours that only one of its faces has.
-    fn borders_at(&self, around: &impl Around, v: u32, options: &Options) -> Quadric {
+    pub fn borders_at(&self, around: &impl Around, v: u32, options: &Options) -> Quadric {
         let mut neighbours: Vec<u32> = around.of(v).iter().map(|&c| self.ends(c)).flat_map(|(p, s)| [p, s]).collect();
         neighbours.sort_unstable();
         let mut q = Quadric::default();

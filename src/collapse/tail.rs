@@ -2,7 +2,9 @@
 
 use super::Options;
 use super::batch::{NONE, order};
-use super::surface::{Around, KEPT, Surface};
+use super::join::Joins;
+use super::policy::Primitive;
+use super::surface::{Around, KEPT, REFUSED, Surface};
 use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::{Coordinate, Reference, widen};
 use crate::{Result, progress::Progress};
@@ -12,7 +14,7 @@ use std::collections::BinaryHeap;
 use std::sync::atomic::Ordering::Relaxed;
 
 /// The stars of the round that came last, and over them those that the tail has changed.
-struct Overlay {
+pub(super) struct Overlay {
     stars: Stars,
     changed: FxHashMap<u32, Vec<u32>>,
 }
@@ -56,10 +58,14 @@ pub(super) fn finish<S: Coordinate>(
     reference: Option<&mut Reference<S>>,
     progress: &Progress,
 ) -> Result<End> {
+    let joins = options.policies.pair_distance.map_or(Joins::default(), |distance| Joins::find(surface, distance));
     let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
     let left = surface.faces.len();
     let becomes = (0..surface.positions.len() as u32).collect();
-    let mut tail = Tail { becomes, left, surface, overlay, heap: BinaryHeap::new(), error_sq: 0.0, options };
+    let mut tail = Tail { becomes, left, surface, overlay, joins, heap: BinaryHeap::new(), error_sq: 0.0, options };
+    if options.policies.primitive == Primitive::Face {
+        tail.contract_faces(progress)?;
+    }
     let mut need = Need::None;
     let mut folded = false;
     while tail.left > options.target {
@@ -91,15 +97,18 @@ pub(super) fn finish<S: Coordinate>(
     Ok(End { error_sq, folded })
 }
 
-struct Tail<'a, S> {
-    surface: &'a mut Surface<S>,
-    overlay: Overlay,
+pub(super) struct Tail<'a, S> {
+    pub surface: &'a mut Surface<S>,
+    pub overlay: Overlay,
+    joins: Joins,
     heap: BinaryHeap<Entry>,
     /// The vertex that each one was merged into, or itself.
     becomes: Vec<u32>,
-    left: usize,
-    error_sq: f64,
-    options: &'a Options<'a>,
+    /// Faces that are left.
+    pub left: usize,
+    /// The largest squared error among the merged vertices.
+    pub error_sq: f64,
+    pub options: &'a Options<'a>,
 }
 
 impl<S: Coordinate> Tail<'_, S> {
@@ -117,12 +126,24 @@ impl<S: Coordinate> Tail<'_, S> {
                 }
             }
         }
+        entries.extend(self.joins.pairs().map(|(a, b)| self.entry(a, b)));
         self.heap = BinaryHeap::from(entries);
     }
 
     fn entry(&self, a: u32, b: u32) -> Entry {
-        let cost = self.surface.cost(&self.overlay, a, b, self.options);
+        let cost = match self.joined(a, b) {
+            false => self.surface.cost(&self.overlay, a, b, self.options),
+            // That ends no piece.
+            true => (self.surface.candidate(&self.overlay, a, b, self.options).cost as f32).min(REFUSED),
+        };
         Reverse((cost.to_bits(), order(a, b)))
+    }
+
+    /// Whether two vertices may merge without an edge between them.
+    fn joined(&self, a: u32, b: u32) -> bool {
+        !self.joins.is_empty()
+            && self.joins.of(a).contains(&b)
+            && self.surface.shared(&self.overlay, a, b).next().is_none()
     }
 
     fn alive(&self, v: u32) -> bool {
@@ -141,7 +162,7 @@ impl<S: Coordinate> Tail<'_, S> {
             }
             let Some(Reverse((cost, (_, a, b)))) = self.heap.pop() else { return Ok(()) };
             let shared = self.surface.shared(&self.overlay, a, b).count();
-            if shared == 0 || !self.alive(a) || !self.alive(b) {
+            if shared == 0 && !self.joined(a, b) || !self.alive(a) || !self.alive(b) {
                 continue;
             }
             let now = self.entry(a, b);
@@ -174,15 +195,22 @@ impl<S: Coordinate> Tail<'_, S> {
             return false;
         }
         self.error_sq = self.error_sq.max(error_sq);
+        self.merge(a, b, spot);
+        self.refresh(a);
+        true
+    }
+
+    /// `a` and `b` become one at `spot`, without any question.
+    pub fn merge(&mut self, a: u32, b: u32, spot: [S; 3]) {
         let v = a as usize;
+        self.surface.learnt[v] = self.surface.merged(&[a, b], widen(spot)).pack();
         self.surface.positions[v] = spot;
-        self.surface.learnt[v] = merged.pack();
         let marks = self.surface.mark(b) & KEPT;
         self.surface.marks[v].fetch_or(marks, Relaxed);
         self.becomes[b as usize] = a;
+        self.surface.pieces.join(a, b);
+        self.joins.merge(a, b);
         self.rewire(a, b);
-        self.refresh(a);
-        true
     }
 
     /// Faces of `b` become `a`'s; faces of both go.
@@ -227,14 +255,20 @@ impl<S: Coordinate> Tail<'_, S> {
         }
         ring.sort_unstable();
         ring.dedup();
+        self.renew(v, &ring);
+        ring.extend_from_slice(self.joins.of(v));
+        for u in ring {
+            let entry = self.entry(v, u);
+            self.heap.push(entry);
+        }
+    }
+
+    /// Renews the current quadrics of `v` and its ring.
+    pub fn renew(&mut self, v: u32, ring: &[u32]) {
         let kept = !self.surface.current.is_empty();
         for &u in ring.iter().chain([&v]).filter(|_| kept) {
             let form = self.surface.form_around(&self.overlay, u, self.options);
             self.surface.current[u as usize] = form.a.map(|x| x as f32);
-        }
-        for u in ring {
-            let entry = self.entry(v, u);
-            self.heap.push(entry);
         }
     }
 }

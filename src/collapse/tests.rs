@@ -287,6 +287,14 @@ fn policies() -> Vec<Policies> {
         Policies { fold_check: FoldCheck::Planes, compactness: 0.3, valence_penalty: 1.0, ..usual },
         Policies { fold_check: FoldCheck::Both, min_component: Some(Least::Faces(9)), ..usual },
         Policies { topology: Topology::Preserve, ..usual },
+        Policies { pair_distance: Some(PairDistance::Auto), ..usual },
+        Policies { primitive: Primitive::Face, ..usual },
+        Policies {
+            primitive: Primitive::Face,
+            quadrics: Quadrics::Accumulated,
+            placement: Placement::Endpoint,
+            ..usual
+        },
     ]
 }
 
@@ -472,4 +480,63 @@ fn a_check_of_planes_lets_no_face_fold() {
         let up = |f: &[u32; 3]| (mesh.at(f[1]) - mesh.at(f[0])).cross(mesh.at(f[2]) - mesh.at(f[0])).z >= 0.0;
         assert!(mesh.faces.iter().all(up), "{check:?}");
     }
+}
+
+#[test]
+fn pieces_that_lie_close_by_join() {
+    // Four spheres in a row, nearly touching.
+    let one = sphere(10, 0.0);
+    let mut scan = IndexedMesh::default();
+    for i in 0..4 {
+        let n = scan.positions.len() as u32;
+        scan.positions.extend(one.positions.iter().map(|p| [0.25 * p[0] + 0.205 * i as f32, 0.25 * p[1], 0.25 * p[2]]));
+        scan.faces.extend(one.faces.iter().map(|f| f.map(|v| v + n)));
+    }
+    let pieces = |pair_distance| {
+        let mesh = reduce_by(&scan, 60, Policies { pair_distance, ..Default::default() }).mesh;
+        assert!((59..=60).contains(&mesh.faces.len()));
+        let mut of: Vec<usize> = (0..mesh.positions.len()).collect();
+        for _ in 0..mesh.positions.len() {
+            for f in &mesh.faces {
+                let least = f.iter().map(|&v| of[v as usize]).min().unwrap();
+                f.iter().for_each(|&v| of[v as usize] = least);
+            }
+        }
+        of.iter().enumerate().filter(|(v, root)| v == *root).count()
+    };
+    assert_eq!(pieces(None), 4);
+    assert_eq!((pieces(Some(PairDistance::Within(0.02))), pieces(Some(PairDistance::Auto))), (1, 1));
+}
+
+/// Mean squared distance of a mesh's faces, at a few points each, from the cube of half side 0.4.
+fn off_cube(mesh: &IndexedMesh<f32>) -> f64 {
+    let off_sq = |p: DVec3| {
+        let q = p.abs() - 0.4;
+        if q.max_element() > 0.0 { q.max(DVec3::ZERO).length_squared() } else { q.max_element().powi(2) }
+    };
+    let (mut sum, mut areas) = (0.0, 0.0);
+    for f in &mesh.faces {
+        let [a, b, c] = f.map(|v| mesh.at(v));
+        let area = (b - a).cross(c - a).length();
+        let points = [(4.0, 1.0, 1.0), (1.0, 4.0, 1.0), (1.0, 1.0, 4.0), (2.0, 2.0, 2.0)];
+        let mean = points.map(|(i, j, k)| off_sq((a * i + b * j + c * k) / 6.0)).iter().sum::<f64>() / 4.0;
+        sum += mean * area;
+        areas += area;
+    }
+    sum / areas
+}
+
+/// Thesis Fig. 6.18: by its own quadrics, the distance from a noisy cube's reductions to the cube without noise first falls.
+#[test]
+fn noise_goes_before_shape() {
+    let mut scan = sphere(32, 0.0);
+    for (i, p) in scan.positions.iter_mut().enumerate() {
+        let on_cube = widen(*p) * (0.4 / widen(*p).abs().max_element());
+        let h = (i * 7919 % 1009) as f64 / 1009.0 - 0.5;
+        *p = narrow(on_cube * (1.0 + 0.02 * h));
+    }
+    let accumulated = Policies { quadrics: Quadrics::Accumulated, ..Default::default() };
+    let off = |faces| off_cube(&reduce_by(&scan, faces, accumulated).mesh);
+    let (all, some, few) = (off_cube(&scan), off(2000), off(200));
+    assert!(some < all && few < 0.6 * all, "{all} of the scan, {some} at 2000 faces, {few} at 200");
 }

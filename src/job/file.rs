@@ -37,11 +37,11 @@ use std::path::{Path, PathBuf};
 
 use super::Layer;
 use super::night::NightTable;
-use super::quantity::{Compactness, Degrees, MinComponent, Rounds, Threads, Weight, as_written, write_size};
+use super::quantity::{Compactness, Degrees, MinComponent, Pairs, Rounds, Threads, Weight, as_written, write_size};
 use super::scans::Scans;
 use crate::budget::Size;
 use crate::cluster::Representative;
-use crate::collapse::{FoldCheck, Placement, Quadrics, Topology, Weighting};
+use crate::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
 
 /// A job as it was said, in a file or on the command line.
@@ -142,6 +142,12 @@ pub struct CollapseTable {
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
+    /// How close vertices without an edge must be to merge all the same.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub pair_distance: Option<Pairs>,
+    /// What collapses at a time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub primitive: Option<Primitive>,
 }
 
 /// `[refit]`
@@ -187,6 +193,8 @@ const KEYS: [(&str, &[&str]); 7] = [
             "compactness",
             "valence_penalty",
             "topology",
+            "pair_distance",
+            "primitive",
         ],
     ),
     ("refit", &["rounds"]),
@@ -256,7 +264,8 @@ layered!(ClusterTable: representative);
 layered!(RefitTable: rounds);
 layered!(ReportTable: json, verify);
 layered!(CollapseTable: quadrics, placement, weighting, boundary_weight, lock_border, lock_vertices, feature_angle,
-    feature_weight, min_component, fold_check, compactness, valence_penalty, topology);
+    feature_weight, min_component, fold_check, compactness, valence_penalty, topology, pair_distance,
+    primitive);
 
 /// What was likely meant by an unknown word, from the parser's message: the wrong word in backticks, then the right ones.
 fn hint(message: &str) -> Option<String> {

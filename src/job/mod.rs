@@ -12,7 +12,7 @@ pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable};
 pub use night::{NightTable, Order, Span, TimeOfDay};
 pub use points::read_points;
-pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Ratio, Rounds, Threads, Weight};
+pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight};
 pub use rendering::{DEFAULT_WIDTH, Rendering, RenderingSaid};
 pub use scans::{ScanTable, Scans};
 
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
-use crate::collapse::{Features, Placement, Policies};
+use crate::collapse::{Features, Placement, Policies, Primitive, Topology};
 use crate::error::{Error, Result};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
@@ -163,6 +163,16 @@ impl JobFile {
         let coarser = targets.into_iter().zip(outputs).map(|(target, output)| Level { target, output }).collect();
 
         let policies = self.collapse.policies();
+        let serial = policies.pair_distance.is_some() || policies.primitive == Primitive::Face;
+        if serial && (scan.max_error.is_some() || policies.topology == Topology::Preserve) {
+            let what = "a pair distance and primitive `face` work on the way to a count of faces";
+            return Err(Error::usage(format!("{what}: they go with neither `max_error` nor topology `preserve`")));
+        }
+        if policies.primitive == Primitive::Face && (policies.compactness > 0.0 || policies.valence_penalty > 0.0) {
+            let what =
+                "penalties are on collapses of edges: say primitive `edge`, or no compactness and valence penalty";
+            return Err(Error::usage(what));
+        }
         let refit_rounds = match self.refit.rounds {
             Some(Rounds(n)) if n > 0 && policies.placement == Placement::Endpoint => {
                 let what = "placement `endpoint` leaves vertices where they are in the scan, and refit moves them";
@@ -209,6 +219,8 @@ impl CollapseTable {
             compactness: self.compactness.map_or(usual.compactness, |Compactness(c)| c),
             valence_penalty: self.valence_penalty.map_or(usual.valence_penalty, |Weight(w)| w),
             topology: self.topology.unwrap_or(usual.topology),
+            pair_distance: self.pair_distance.map(|Pairs(distance)| distance),
+            primitive: self.primitive.unwrap_or(usual.primitive),
         }
     }
 }
@@ -229,6 +241,8 @@ impl From<Policies> for CollapseTable {
             compactness: Some(Compactness(policies.compactness)),
             valence_penalty: Some(Weight(policies.valence_penalty)),
             topology: Some(policies.topology),
+            pair_distance: policies.pair_distance.map(Pairs),
+            primitive: Some(policies.primitive),
         }
     }
 }
@@ -306,6 +320,19 @@ mod tests {
         assert_eq!(job.refit_rounds, 0);
         assert_eq!(job.representative, Representative::Mean);
         assert_eq!(job.said().resolve().unwrap(), job);
+    }
+
+    #[test]
+    fn policies_that_contradict_one_another_are_refused() {
+        for policies in [
+            "faces = 9\n[collapse]\npair_distance = 'auto'\ntopology = 'preserve'",
+            "max_error = 9\n[collapse]\npair_distance = 0.5",
+            "max_error = 9\n[collapse]\nprimitive = 'face'",
+            "faces = 9\n[collapse]\nprimitive = 'face'\ncompactness = 0.5",
+        ] {
+            let said = JobFile::parse(&format!("[scan]\ninput = 'a'\noutput = 'b'\n{policies}")).unwrap();
+            assert_eq!(said.resolve().unwrap_err().exit_code(), 2, "{policies}");
+        }
     }
 
     #[test]

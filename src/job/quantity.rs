@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use std::str::FromStr;
 
 use crate::budget::{MIB, Size};
-use crate::collapse::Least;
+use crate::collapse::{Least, PairDistance};
 
 /// A number of faces: `500k`, `2.5M`, `1G`, `140000` or `1_000`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -198,6 +198,30 @@ impl Serialize for MinComponent {
         match self.0 {
             Least::Faces(n) => out.serialize_u64(n),
             Least::Area(area) => out.collect_str(&format_args!("area={area}")),
+        }
+    }
+}
+
+/// How close vertices without an edge must be to merge: a length, or `auto`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pairs(pub PairDistance);
+
+impl FromStr for Pairs {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "auto" => Ok(Pairs(PairDistance::Auto)),
+            text => text.parse().map(|Length(x)| Pairs(PairDistance::Within(x))),
+        }
+    }
+}
+
+impl Serialize for Pairs {
+    fn serialize<S: Serializer>(&self, out: S) -> Result<S::Ok, S::Error> {
+        match self.0 {
+            PairDistance::Within(distance) => out.serialize_f64(distance),
+            PairDistance::Auto => out.serialize_str("auto"),
         }
     }
 }
