@@ -65,6 +65,7 @@ fn reduced(files: &Files) -> Scan {
         lock_vertices: None,
         refit_rounds: 1,
         verify: false,
+        samples: 0,
     };
     reduce(&job, &Progress::default()).unwrap();
     open(&output)

@@ -25,14 +25,17 @@ impl Row<'_> {
             input: self.input.into(),
             output: output.into(),
             target: Target::Faces(faces),
+            coarser: Vec::new(),
             memory: self.memory,
             threads,
             scratch: None,
+            scratch_quota: None,
             representative: Representative::Quadric,
             refit_rounds: meshmill::job::DEFAULT_REFIT_ROUNDS,
             policies: Default::default(),
             lock_vertices: None,
             verify: false,
+            samples: 0,
         };
         reduce(&job, &Progress::default()).unwrap()
     }

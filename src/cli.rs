@@ -82,6 +82,10 @@ pub struct ReduceArgs {
     #[arg(long)]
     verify: bool,
 
+    /// Samples over the area of each that --verify draws at most, like 200k or 1M [default: 1M]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, requires = "verify")]
+    samples: Option<Count>,
+
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
     json: bool,
@@ -339,7 +343,7 @@ impl From<ReduceArgs> for JobFile {
             },
             collapse: args.collapse.into(),
             refit: RefitTable { rounds: args.refit },
-            report: ReportTable { json: Some(args.json), verify: Some(args.verify) },
+            report: ReportTable { json: Some(args.json), verify: Some(args.verify), samples: args.samples },
             ..Default::default()
         }
     }

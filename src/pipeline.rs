@@ -1,15 +1,18 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod levels;
+mod portrait;
 mod render;
 
 pub use compare::compare;
+pub use portrait::PortraitAsked;
 pub use render::render;
 
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Collapsed, collapse};
 use crate::error::{Error, Result};
-use crate::job::{Job, Target, read_points};
+use crate::job::{Job, Level, Target, read_points};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::plan::{Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
@@ -20,23 +23,32 @@ use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline,
 use crate::scratch::Scratch;
 use crate::write;
 use glam::DVec3;
+use portrait::Portrait;
+use std::path::Path;
 use std::time::Instant;
 
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
+    reduce_and_portray(job, None, progress)
+}
+
+/// The same, and takes a picture of it where one is asked for.
+pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress: &Progress) -> Result<Report> {
     let threads = job.threads.min(most_threads(job.memory.0));
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare(&job.output, Some(&job.input))?;
+        let prepare = |level: &Level| write::Target::prepare(&level.output, Some(&job.input));
+        let coarser = job.coarser.iter().map(prepare).collect::<Result<Vec<_>>>()?;
         let scan = Scan::open(&job.input, progress)?;
         let asked = job.target.faces(scan.triangle_count());
         let purse = Purse::new(job.memory.0, threads, asked, job.refit_rounds > 0);
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
-        let run = Run { job, threads, progress, scan: &scan, purse, begun, locked };
+        let run = Run { job, portrait, threads, progress, scan: &scan, purse, begun, locked };
         match scan.scalar() {
-            Scalar::F32 => run.through::<f32>(out),
-            Scalar::F64 => run.through::<f64>(out),
+            Scalar::F32 => run.through::<f32>(out, coarser),
+            Scalar::F64 => run.through::<f64>(out, coarser),
         }
     })
 }
@@ -58,6 +70,7 @@ fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
 /// One reduction under way.
 struct Run<'a> {
     job: &'a Job,
+    portrait: Option<&'a PortraitAsked>,
     threads: usize,
     progress: &'a Progress,
     scan: &'a Scan,
@@ -82,10 +95,10 @@ enum Source {
 }
 
 impl Run<'_> {
-    fn through<S: Coordinate>(&self, out: write::Target) -> Result<Report> {
+    fn through<S: Coordinate>(&self, out: write::Target, coarser: Vec<write::Target>) -> Result<Report> {
         let asked = self.job.target.faces(self.scan.triangle_count());
         if let (true, Some(asked)) = (self.job.verify, asked) {
-            compare::check_verifiable::<S>(asked, self.scan, &self.purse)?;
+            compare::check_verifiable::<S>(asked, self)?;
         }
         let mut clock = Clock::new(self.begun);
         let mut seconds = Timeline::default();
@@ -106,8 +119,8 @@ impl Run<'_> {
         }
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse = clock.lap();
-        if let Some(reference) = reference {
-            refit(&mut mesh, &reference, self.job.refit_rounds, &locked, self.progress)?;
+        if let Some(reference) = &reference {
+            refit(&mut mesh, reference, self.job.refit_rounds, &locked, self.progress)?;
         }
         seconds.refit = clock.lap();
 
@@ -132,12 +145,21 @@ impl Run<'_> {
                 (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
             }
         };
-        drop(mesh);
+        let reference = reference.filter(|_| !coarser.is_empty());
+        let chain = levels::Chain { mesh, frame, reference, error: error_estimate, locked: &points };
+        let mut coarser = self.coarser(chain, coarser, &mut clock, &mut seconds, &mut warnings)?;
+        let mut portrait = self.begin_portrait(&mut warnings)?;
+        seconds.render = clock.lap();
         let mut deviation = None;
         if self.job.verify {
-            deviation = Some(self.verify(&mut scratch_bytes)?);
+            deviation = Some(self.verify(&self.job.output, portrait.as_mut(), &mut scratch_bytes)?);
+            for level in &mut coarser {
+                level.deviation = Some(self.verify(&level.output.path, None, &mut scratch_bytes)?);
+            }
             seconds.measure = clock.lap();
         }
+        let portrait = portrait.map(|portrait| portrait.finish(self)).transpose()?;
+        seconds.render += clock.lap();
         seconds.total = self.begun.elapsed().as_secs_f64();
         let unmet = deviation.as_ref().and_then(|found| self.exceeded(found));
         Ok(Report {
@@ -147,6 +169,7 @@ impl Run<'_> {
                 vertices: self.scan.vertex_count(),
             },
             output,
+            coarser,
             mode,
             cells,
             ratio,
@@ -157,9 +180,25 @@ impl Run<'_> {
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
             deviation,
+            portrait,
             warnings,
             unmet,
         })
+    }
+
+    /// Takes pictures where they are asked for. One that cannot be taken is no reason to fail.
+    fn begin_portrait(&self, warnings: &mut Vec<Warning>) -> Result<Option<Portrait<'_>>> {
+        let Some(asked) = self.portrait else { return Ok(None) };
+        let coarser = self.job.coarser.iter().map(|level| level.output.as_path());
+        let results: Vec<_> = std::iter::once(self.job.output.as_path()).chain(coarser).collect();
+        match Portrait::begun(self, asked, &results) {
+            Ok(portrait) => Ok(Some(portrait)),
+            Err(error @ Error::Interrupted { .. }) => Err(error),
+            Err(error) => {
+                warnings.push(Warning::NoPicture { why: error.to_string() });
+                Ok(None)
+            }
+        }
     }
 
     fn scratch(&self) -> Scratch {
@@ -252,11 +291,15 @@ impl Run<'_> {
         }
     }
 
-    /// Measures the file that was written.
-    fn verify(&self, scratch_bytes: &mut u64) -> Result<DeviationFigures> {
+    /// Measures a file that was written.
+    fn verify(
+        &self,
+        output: &Path,
+        portrait: Option<&mut Portrait>,
+        scratch_bytes: &mut u64,
+    ) -> Result<DeviationFigures> {
         let scratch = self.scratch();
-        let found = compare::verify(self.scan, &self.job.output, &self.purse, &scratch, self.progress)
-            .map_err(|error| self.unverified(error))?;
+        let found = compare::verify(self, output, &scratch, portrait).map_err(|error| self.unverified(error))?;
         *scratch_bytes = scratch.bytes().max(*scratch_bytes);
         Ok((&found).into())
     }
@@ -339,7 +382,7 @@ fn irregular(found: &collapse::Irregularities) -> impl Iterator<Item = Warning> 
     edges.into_iter().chain((vertices > 0).then_some(Warning::NonManifoldVertices { vertices }))
 }
 
-fn mesh_file(path: &std::path::Path, faces: usize, vertices: usize) -> MeshFile {
+fn mesh_file(path: &Path, faces: usize, vertices: usize) -> MeshFile {
     MeshFile { path: path.into(), faces: faces as u64, vertices: vertices as u64 }
 }
 

@@ -26,6 +26,9 @@ pub struct Report {
     pub input: MeshFile,
     /// The result.
     pub output: MeshFile,
+    /// Further results, each coarser than the one before it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub coarser: Vec<LevelReport>,
     /// Whether the scan was clustered first.
     pub mode: Mode,
     /// Cells that clustering filled; `None` in core.
@@ -47,11 +50,39 @@ pub struct Report {
     pub error_estimate: Option<f64>,
     /// What was measured between scan and result; `None` where nobody asked for it.
     pub deviation: Option<DeviationFigures>,
+    /// The picture that was taken.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub portrait: Option<PortraitFile>,
     /// What the user should know.
     pub warnings: Vec<Warning>,
     /// Why the result, which is written, is not what was asked for.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub unmet: Option<Failure>,
+}
+
+/// One more result.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LevelReport {
+    /// The mesh.
+    pub output: MeshFile,
+    /// As a [`Report`]'s.
+    pub error_estimate: Option<f64>,
+    /// As a [`Report`]'s.
+    pub deviation: Option<DeviationFigures>,
+}
+
+/// A picture of a scan and what it became.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PortraitFile {
+    /// The JPEG.
+    #[serde(serialize_with = "lossy")]
+    pub path: PathBuf,
+    /// What is to be seen, from left to right; below each, the same closer.
+    pub views: Vec<&'static str>,
+    /// How much closer.
+    pub zoom: f64,
+    /// The deviation that has the last colour, in the scan's units.
+    pub deviation_top: Option<f64>,
 }
 
 /// A mesh file and its counts.
@@ -91,6 +122,8 @@ pub struct Timeline {
     pub write: f64,
     /// Measuring the result; 0 where nobody asked for it.
     pub measure: f64,
+    /// Taking pictures; 0 where nobody asked for them.
+    pub render: f64,
     /// From the first byte to the report.
     pub total: f64,
 }
@@ -170,6 +203,11 @@ pub enum Warning {
         /// Intermediate : target.
         ratio: f64,
     },
+    /// No picture could be taken.
+    NoPicture {
+        /// Why.
+        why: String,
+    },
 }
 
 impl Warning {
@@ -189,6 +227,7 @@ impl Warning {
             Warning::CoarsenedGrid { .. } => "coarsened-grid",
             Warning::LowRatio { .. } => "low-ratio",
             Warning::SmallPieces { .. } => "small-pieces",
+            Warning::NoPicture { .. } => "no-picture",
         }
     }
 }
@@ -196,6 +235,7 @@ impl Warning {
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
+            Warning::NoPicture { ref why } => write!(f, "no picture was taken: {why}"),
             Warning::TrailingBytes { bytes } => write!(
                 f,
                 "{} after the last element ignored: if the scan looks cut short, its header counts too few",
@@ -304,6 +344,11 @@ impl Report {
         let peak = self.peak_rss_bytes.map_or("unknown".into(), |bytes| Size(bytes).to_string());
         let (budget, scratch) = (Size(self.memory_budget_bytes), Size(self.scratch_bytes));
         lines.push(format!("memory   {peak} at the peak, of {budget}; {scratch} of scratch on disk"));
+        for level in &self.coarser {
+            lines.push(format!("coarser  {}", level.output.line()));
+            let measured = level.deviation.iter().flat_map(|deviation| deviation.lines("scan", "result"));
+            lines.extend(measured.map(|line| format!("measured {line}")));
+        }
         lines.extend(self.warnings.iter().map(|w| format!("warning  {w}")));
         lines
     }
@@ -476,6 +521,7 @@ mod tests {
         Report {
             input: MeshFile { path: "scan.ply".into(), faces: 28_060_000, vertices: 14_030_002 },
             output: MeshFile { path: "small.ply".into(), faces: 140_000, vertices: 70_002 },
+            coarser: Vec::new(),
             mode: Mode::OutOfCore,
             cells: Some(812_345),
             ratio: Some(11.6),
@@ -490,10 +536,12 @@ mod tests {
                 refit: 0.25,
                 write: 0.05,
                 measure: 0.0,
+                render: 0.0,
                 total: 1.4,
             },
             error_estimate: Some(0.012_345),
             deviation: None,
+            portrait: None,
             warnings: vec![Warning::TrailingBytes { bytes: 1 }],
             unmet: None,
         }

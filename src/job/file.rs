@@ -37,7 +37,9 @@ use std::path::{Path, PathBuf};
 
 use super::Layer;
 use super::night::NightTable;
-use super::quantity::{Compactness, Degrees, MinComponent, Pairs, Rounds, Threads, Weight, as_written, write_size};
+use super::quantity::{
+    Compactness, Count, Degrees, MinComponent, Pairs, Rounds, Threads, Weight, as_written, write_size,
+};
 use super::scans::Scans;
 use crate::budget::Size;
 use crate::cluster::Representative;
@@ -169,6 +171,9 @@ pub struct ReportTable {
     /// Measure the result against the scan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verify: Option<bool>,
+    /// Samples over the area of each that it is measured with.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub samples: Option<Count>,
 }
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
@@ -198,7 +203,7 @@ const KEYS: [(&str, &[&str]); 7] = [
         ],
     ),
     ("refit", &["rounds"]),
-    ("report", &["json", "verify"]),
+    ("report", &["json", "verify", "samples"]),
 ];
 
 /// No job is longer; whatever is, is not a job file.
@@ -262,7 +267,7 @@ macro_rules! layered {
 layered!(RunTable: memory, threads, scratch, scratch_quota);
 layered!(ClusterTable: representative);
 layered!(RefitTable: rounds);
-layered!(ReportTable: json, verify);
+layered!(ReportTable: json, verify, samples);
 layered!(CollapseTable: quadrics, placement, weighting, boundary_weight, lock_border, lock_vertices, feature_angle,
     feature_weight, min_component, fold_check, compactness, valence_penalty, topology, pair_distance,
     primitive);

@@ -23,6 +23,7 @@ use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
 use crate::collapse::{Features, Placement, Policies, Primitive, Topology};
 use crate::error::{Error, Result};
+use crate::measure::DEFAULT_SAMPLES;
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
 pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
@@ -136,6 +137,8 @@ pub struct Job {
     pub refit_rounds: u32,
     /// Whether the result is measured against the scan.
     pub verify: bool,
+    /// Samples over the area of each that it is measured with, at most.
+    pub samples: u64,
 }
 
 impl JobFile {
@@ -196,6 +199,7 @@ impl JobFile {
             lock_vertices: self.collapse.lock_vertices,
             refit_rounds,
             verify: self.report.verify.unwrap_or(false),
+            samples: self.report.samples.map_or(DEFAULT_SAMPLES, |Count(n)| n),
         })
     }
 }
@@ -285,7 +289,7 @@ impl Job {
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },
             refit: RefitTable { rounds: Some(Rounds(self.refit_rounds)) },
-            report: ReportTable { verify: Some(self.verify), ..Default::default() },
+            report: ReportTable { verify: Some(self.verify), samples: Some(Count(self.samples)), json: None },
         }
     }
 }
