@@ -9,6 +9,7 @@ use meshmill::job::{
     CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Pairs, Ratio,
     RefitTable, RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
 };
+use meshmill::queue::Shard;
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
@@ -38,6 +39,11 @@ pub enum Command {
     Synth(SynthArgs),
     /// Take a picture of meshes, side by side, seen by the same camera
     Render(RenderArgs),
+    /// Work on reports of nights
+    Report(ReportArgs),
+    /// Reduce what stdin says: how `run` works
+    #[command(hide = true)]
+    Worker(WorkerArgs),
 }
 
 /// `meshmill reduce`
@@ -185,9 +191,21 @@ pub struct RunArgs {
     #[arg(value_name = "JOB.toml")]
     pub job: PathBuf,
 
-    /// Print the job with every default filled in, and do nothing
+    /// Do nothing, but print what would be done: of one scan the job with every default filled in, of many the plan
     #[arg(long)]
     pub dry_run: bool,
+
+    /// Of many scans every N-th alone, beginning with the I-th, for an array of machines or processes
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<Shard>,
+
+    /// Of many scans those alone whose path contains this, though they are done
+    #[arg(long, value_name = "TEXT")]
+    pub only: Option<String>,
+
+    /// Of many scans begin those that can be done, though others cannot
+    #[arg(long)]
+    pub keep_going: bool,
 
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
@@ -300,6 +318,48 @@ pub struct RenderArgs {
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
     pub json: bool,
+}
+
+/// `meshmill report`
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: ReportCommand,
+}
+
+/// What to do with reports.
+#[derive(Debug, Subcommand)]
+pub enum ReportCommand {
+    /// Join the reports of shards
+    Merge(MergeArgs),
+}
+
+/// `meshmill report merge`
+#[derive(Debug, Args)]
+pub struct MergeArgs {
+    /// Reports of shards: report.1-of-8.json and so on
+    #[arg(value_name = "REPORT.json", required = true)]
+    pub reports: Vec<PathBuf>,
+
+    /// The folder for report.html, report.json and report.csv [default: the first report's]
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+
+    /// One JSON object on stdout; words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `meshmill worker`
+#[derive(Debug, Args)]
+pub struct WorkerArgs {
+    /// The night's folder
+    pub folder: PathBuf,
+
+    /// Tells runs side by side apart
+    #[arg(long, default_value = "")]
+    pub shard_name: String,
 }
 
 /// Three coordinates.

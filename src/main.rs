@@ -1,6 +1,7 @@
 //! The `meshmill` program: arguments in, exit code out. Nothing else prints.
 
 mod cli;
+mod night;
 mod terminal;
 
 use clap::Parser;
@@ -27,6 +28,8 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Ok(Cli { command: Command::Render(args) }) => render(args),
+        Ok(Cli { command: Command::Report(args) }) => night::merge(args),
+        Ok(Cli { command: Command::Worker(args) }) => night::work(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
 }
@@ -37,11 +40,13 @@ struct Saying {
     lines: Vec<String>,
     /// Why what was asked was not met, though there is a result.
     unmet: Option<String>,
+    /// The exit code then.
+    code: u8,
 }
 
 impl Saying {
     fn new(object: String, lines: Vec<String>) -> Self {
-        Saying { object, lines, unmet: None }
+        Saying { object, lines, unmet: None, code: 1 }
     }
 }
 
@@ -52,6 +57,7 @@ fn reduce(said: JobFile) -> ExitCode {
         object: json(&report),
         lines: report.lines(),
         unmet: report.unmet.as_ref().map(|unmet| unmet.message().into()),
+        code: 1,
     });
     conclude(saying, in_json)
 }
@@ -61,6 +67,13 @@ fn run(args: RunArgs) -> ExitCode {
         Ok(mut said) => {
             let in_json = args.json || said.report.json == Some(true);
             said.report.json = Some(in_json);
+            if said.is_night() {
+                return night::run(said, &args, in_json);
+            }
+            if args.shard.is_some() || args.only.is_some() {
+                let what = "--shard and --only are for many scans, and this job file has one";
+                return conclude(Err(Error::Usage { what: what.into(), file: Some(args.job) }), in_json);
+            }
             if args.dry_run { conclude(dry_run(said), in_json) } else { reduce(said) }
         }
         Err(error) => conclude(Err(error), args.json),
@@ -111,22 +124,27 @@ fn make_scan(args: &SynthArgs) -> ExitCode {
 
 /// Works under a progress that is shown and that SIGINT and SIGTERM end.
 fn working<T>(work: impl FnOnce(&Progress) -> Result<T>) -> Result<T> {
+    let progress = Progress::cancelled_by(signals()?);
+    terminal::showing(&progress, || work(&progress))
+}
+
+/// The number of the signal that asked the program to end, once one has; 0 until then.
+fn signals() -> Result<Arc<AtomicUsize>> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     let signal = Arc::new(AtomicUsize::new(0));
     for number in [SIGINT, SIGTERM] {
         signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
             .map_err(Error::io(Path::new("signals"), "cannot be handled"))?;
     }
-    let progress = Progress::cancelled_by(signal);
-    terminal::showing(&progress, || work(&progress))
+    Ok(signal)
 }
 
 /// Says how it went: with `--json` one object is all that stdout gets.
 fn conclude(outcome: Result<Saying>, in_json: bool) -> ExitCode {
     match outcome {
-        Ok(Saying { object, lines, unmet }) => {
+        Ok(Saying { object, lines, unmet, code }) => {
             let words = lines.join("\n");
-            let code = u8::from(unmet.is_some());
+            let code = if unmet.is_some() { code } else { 0 };
             if in_json {
                 tell_stderr(&words);
             }

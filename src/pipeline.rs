@@ -1,11 +1,13 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod forecast;
 mod levels;
 mod portrait;
 mod render;
 
 pub use compare::compare;
+pub use forecast::{Forecast, forecast};
 pub use portrait::PortraitAsked;
 pub use render::render;
 

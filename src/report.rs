@@ -555,7 +555,7 @@ mod tests {
         ) + r#""output":{"path":"small.ply","faces":140000,"vertices":70002},"mode":"out-of-core","cells":812345,"#
             + r#""ratio":11.6,"threads":2,"memory_budget_bytes":268435456,"peak_rss_bytes":210763776,"#
             + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.5,"refit":0.25,"write":0.05,"#
-            + r#""measure":0.0,"total":1.4},"error_estimate":0.012345,"deviation":null,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
+            + r#""measure":0.0,"render":0.0,"total":1.4},"error_estimate":0.012345,"deviation":null,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
             + r#"last element ignored: if the scan looks cut short, its header counts too few"}]}"#;
         assert_eq!(json(&report()), expected);
     }

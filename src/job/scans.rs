@@ -123,9 +123,9 @@ impl ScanTable {
         if self.says_target() { self.targets().map(|_| ()) } else { Ok(()) }
     }
 
-    /// Rewrites every path.
+    /// Rewrites every path. What is excluded is said in patterns of its own.
     pub fn move_paths(&mut self, to: &dyn Fn(&Path) -> PathBuf) {
-        let files = self.input.iter_mut().chain(&mut self.exclude).chain(&mut self.output);
+        let files = self.input.iter_mut().chain(&mut self.output);
         for path in files.chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
             *path = to(path);
         }

@@ -9,10 +9,11 @@ use crate::progress::Stage;
 use crate::read::Scan;
 use crate::report::PortraitFile;
 use crate::write::WholeFile;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// The picture that is to be taken of a reduction.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PortraitAsked {
     /// The JPEG to write.
     pub output: PathBuf,
