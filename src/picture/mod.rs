@@ -2,7 +2,7 @@
 //! need not.
 //!
 //! A [`Camera`] looks at a scan from where its shape shows best and can zoom in; a [`Plate`] is what it exposes: a buffer
-//! of the nearest surface behind each of nine samples a pixel. Drawing is an atomic minimum of depth and colour in one
+//! of the nearest surface behind each of four or nine samples a pixel. Drawing is an atomic minimum of depth and colour in one
 //! number, so the order in which triangles come, and who draws them, changes nothing. [`Plate::develop`] makes the
 //! [`Picture`].
 //!
@@ -22,8 +22,10 @@ pub use draw::{draw_mesh, draw_scan, held_bytes};
 pub use plate::{Paint, Plate};
 pub use print::Picture;
 
-/// Samples along a pixel's side.
-const SAMPLES: usize = 3;
+/// Samples along a pixel's side, for a picture that is looked at closely.
+pub const FINE: usize = 3;
+/// And for a small one among many.
+pub const COARSE: usize = 2;
 
 /// Behind everything: nearly white.
 const BACKGROUND: [u8; 3] = [250, 250, 248];

@@ -1,7 +1,7 @@
 //! What a camera exposes: depth and colour of the nearest surface behind each sample.
 
 use super::shade::{PLAIN, Tones, light};
-use super::{BACKGROUND, Camera, Picture, SAMPLES};
+use super::{BACKGROUND, Camera, Picture};
 use glam::{DVec3, Vec2, Vec3, Vec3Swizzles};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -24,6 +24,8 @@ pub enum Paint<'a> {
 #[derive(Debug)]
 pub struct Plate {
     camera: Camera,
+    /// Samples along a pixel's side.
+    fineness: usize,
     /// In samples.
     width: usize,
     height: usize,
@@ -37,12 +39,21 @@ pub struct Plate {
 }
 
 impl Plate {
-    /// A plate for a picture of so many pixels.
-    pub fn new(camera: Camera, width: usize, height: usize) -> Plate {
-        let scale = SAMPLES as f64 / camera.pixel(width, height);
-        let (width, height) = (width * SAMPLES, height * SAMPLES);
+    /// A plate for a picture of so many pixels, with so many samples along the side of each.
+    pub fn new(camera: Camera, width: usize, height: usize, fineness: usize) -> Plate {
+        let scale = fineness as f64 / camera.pixel(width, height);
+        let (width, height) = (width * fineness, height * fineness);
         let samples = (0..width * height).map(|_| AtomicU64::new(EMPTY)).collect();
-        Plate { camera, width, height, scale: scale as f32, depth: camera.depth() as f32, edges: false, samples }
+        Plate {
+            camera,
+            fineness,
+            width,
+            height,
+            scale: scale as f32,
+            depth: camera.depth() as f32,
+            edges: false,
+            samples,
+        }
     }
 
     /// Draws the edges of triangles, too.
@@ -51,8 +62,8 @@ impl Plate {
     }
 
     /// What a plate for so many pixels takes.
-    pub fn bytes(width: usize, height: usize) -> u64 {
-        (width * height * SAMPLES * SAMPLES * size_of::<u64>()) as u64
+    pub fn bytes(width: usize, height: usize, fineness: usize) -> u64 {
+        (width * height * fineness * fineness * size_of::<u64>()) as u64
     }
 
     /// The camera that took it.
@@ -131,16 +142,17 @@ impl Plate {
 
     /// The picture: dots shaded, samples averaged.
     pub fn develop(&self) -> Picture {
-        let (width, height) = (self.width / SAMPLES, self.height / SAMPLES);
+        let n = self.fineness;
+        let (width, height) = (self.width / n, self.height / n);
         let tones = Tones::get();
         let mut rgb = Vec::with_capacity(3 * width * height);
         for y in 0..height {
             for x in 0..width {
                 let mut sum = Vec3::ZERO;
-                for k in 0..SAMPLES * SAMPLES {
-                    sum += tones.to_linear(self.sample(SAMPLES * x + k % SAMPLES, SAMPLES * y + k / SAMPLES));
+                for k in 0..n * n {
+                    sum += tones.to_linear(self.sample(n * x + k % n, n * y + k / n));
                 }
-                rgb.extend(tones.to_srgb(sum / (SAMPLES * SAMPLES) as f32));
+                rgb.extend(tones.to_srgb(sum / (n * n) as f32));
             }
         }
         Picture { width, height, rgb }
@@ -171,15 +183,15 @@ impl Plate {
     fn among_dots(&self, x: usize, y: usize) -> [u8; 3] {
         let (x, y) = (x as i64, y as i64);
         let depth = |dx: i64, dy: i64| self.dot_depth(x + dx, y + dy);
-        const REACH: i64 = SAMPLES as i64;
+        let reach = self.fineness as i64;
         let rise = |dx: i64, dy: i64| match (depth(-dx, -dy), depth(dx, dy), depth(0, 0)) {
             (Some(a), Some(b), _) => 0.5 * (a - b),
             (Some(a), None, Some(m)) => a - m,
             (None, Some(b), Some(m)) => m - b,
             _ => 0.0,
         };
-        let to_samples = 2.0 * self.depth * self.scale / REACH as f32;
-        let (right, up) = (to_samples * rise(REACH, 0), to_samples * rise(0, -REACH));
+        let to_samples = 2.0 * self.depth * self.scale / reach as f32;
+        let (right, up) = (to_samples * rise(reach, 0), to_samples * rise(0, -reach));
         let bright = light(Vec3::new(-right, -up, 1.0).normalize());
         Tones::get().to_srgb(PLAIN * bright)
     }
@@ -203,7 +215,7 @@ impl Plate {
     /// The place on the surface around which most is to be seen: of windows of a `part` of the picture, wholly covered,
     /// the one whose brightness varies most.
     pub fn most_detailed(&self, part: f64) -> Option<DVec3> {
-        let side = ((self.width.min(self.height) as f64 * part) as usize).max(SAMPLES);
+        let side = ((self.width.min(self.height) as f64 * part) as usize).max(self.fineness);
         let step = (side / 2).max(1);
         let mut best = (0.0, None);
         for y in (0..self.height.saturating_sub(side)).step_by(step) {
@@ -265,26 +277,28 @@ struct Facet {
     ab: Vec3,
     ac: Vec3,
     area: f32,
+    inverse: f32,
 }
 
 impl Facet {
     #[inline(always)]
     fn new(a: Vec3, b: Vec3, c: Vec3) -> Self {
         let (ab, ac) = (b - a, c - a);
-        Facet { a, ab, ac, area: ab.xy().perp_dot(ac.xy()) }
+        let area = ab.xy().perp_dot(ac.xy());
+        Facet { a, ab, ac, area, inverse: area.recip() }
     }
 
     /// Seen from its side, or not a triangle at all.
     #[inline(always)]
     fn is_flat(&self) -> bool {
-        self.area == 0.0 || !self.area.is_finite()
+        !self.area.is_finite() || !self.inverse.is_finite()
     }
 
     /// How near a sample within it is to each of the corners.
     #[inline(always)]
     fn weights(&self, x: usize, y: usize) -> Option<Vec3> {
         let p = Vec2::new(x as f32 + 0.5, y as f32 + 0.5) - self.a.xy();
-        let (v, w) = (p.perp_dot(self.ac.xy()) / self.area, self.ab.xy().perp_dot(p) / self.area);
+        let (v, w) = (p.perp_dot(self.ac.xy()) * self.inverse, self.ab.xy().perp_dot(p) * self.inverse);
         let u = 1.0 - v - w;
         (u >= 0.0 && v >= 0.0 && w >= 0.0).then_some(Vec3::new(u, v, w))
     }

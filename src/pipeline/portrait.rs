@@ -4,7 +4,7 @@ use super::{Run, read_crew};
 use crate::error::{Error, Result};
 use crate::measure::{Measured, Scale};
 use crate::mesh::Coordinate;
-use crate::picture::{Camera, Picture, Plate, draw_mesh, draw_scan};
+use crate::picture::{COARSE, Camera, Picture, Plate, draw_mesh, draw_scan};
 use crate::progress::Stage;
 use crate::read::Scan;
 use crate::report::PortraitFile;
@@ -48,7 +48,7 @@ impl<'a> Portrait<'a> {
         let room = run.purse.while_streaming();
         let views = (results.len().min(MOST_RESULTS) + 2) as u64;
         // Plates, and the pictures: as they are taken, put together, and encoded.
-        let bytes = |tile: usize| 2 * Plate::bytes(tile, tile) + views * 12 * (tile * tile) as u64;
+        let bytes = |tile: usize| 2 * Plate::bytes(tile, tile, COARSE) + views * 12 * (tile * tile) as u64;
         let tile = std::iter::successors(Some(asked.tile), |tile| Some(tile / 2))
             .take_while(|tile| *tile >= LEAST_TILE)
             .find(|tile| bytes(*tile) <= room / 2);
@@ -73,7 +73,7 @@ impl<'a> Portrait<'a> {
     }
 
     fn plates(&self) -> [Plate; 2] {
-        self.cameras.map(|camera| Plate::new(camera, self.tile, self.tile))
+        self.cameras.map(|camera| Plate::new(camera, self.tile, self.tile, COARSE))
     }
 
     fn take(&mut self, run: &Run, what: &'static str, scan: &Scan) -> Result<()> {

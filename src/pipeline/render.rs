@@ -3,7 +3,7 @@
 use super::{on_threads, read_crew};
 use crate::error::{Error, Result};
 use crate::job::Rendering;
-use crate::picture::{Camera, Picture, Plate, draw_scan};
+use crate::picture::{Camera, FINE, Picture, Plate, draw_scan};
 use crate::plan::{Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::Scan;
@@ -82,7 +82,7 @@ impl<'a> Studio<'a> {
     }
 
     fn taken(&self, scan: &Scan, cameras: &[Camera], [width, height]: [usize; 2], room: u64) -> Result<Vec<Plate>> {
-        let plate = |camera: &Camera| Plate::new(*camera, width, height).with_edges(self.rendering.edges);
+        let plate = |camera: &Camera| Plate::new(*camera, width, height, FINE).with_edges(self.rendering.edges);
         let plates: Vec<_> = cameras.iter().map(plate).collect();
         self.progress.begin(Stage::Render, scan.bytes());
         draw_scan(scan, &plates, &read_crew(&self.purse, self.progress), room)?;
@@ -94,7 +94,7 @@ impl<'a> Studio<'a> {
         let meshes = self.rendering.meshes.len() as u64;
         // The picture, and its PNG at worst.
         let printed = 2 * 3 * (width * height) as u64 * rows * meshes;
-        let needed = rows * Plate::bytes(width, height) + printed;
+        let needed = rows * Plate::bytes(width, height, FINE) + printed;
         self.purse.while_streaming().checked_sub(needed).ok_or_else(|| Error::Budget {
             what: format!("a picture of {width} × {height} pixels cannot be taken within this budget"),
             needed_bytes: streaming_budget(needed),

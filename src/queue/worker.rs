@@ -34,7 +34,7 @@ pub fn work(folder: &Path, shard: &str) -> Result<()> {
         let done = AtomicBool::new(false);
         let progress = Progress::cancelled_by(Arc::clone(&stop));
         let outcome = std::thread::scope(|scope| {
-            scope.spawn(|| {
+            let teller = scope.spawn(|| {
                 while !done.load(Relaxed) {
                     let (stage, steps, total) = progress.now();
                     tell(&FromWorker::Progress { stage: stage.word().into(), steps, total });
@@ -43,6 +43,7 @@ pub fn work(folder: &Path, shard: &str) -> Result<()> {
             });
             let outcome = reduce(&order, &progress);
             done.store(true, Relaxed);
+            teller.thread().unpark();
             outcome
         });
         tell(&outcome);

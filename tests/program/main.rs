@@ -9,6 +9,7 @@ mod interrupt;
 mod job;
 mod memory;
 mod models;
+mod night;
 mod oddities;
 mod precision;
 mod support;
