@@ -98,6 +98,7 @@ fn finish(plan: &Plan, report: &NightReport, signal: Option<i32>, in_json: bool)
     let mut lines = vec![totals_line(&report.totals)];
     for row in report.rows.iter().filter(|row| matches!(row.status, Status::Failed | Status::Unmet)) {
         let why = row.error.as_ref().map_or("", |error| error.message.as_str());
+        let why = why.strip_prefix(&format!("{}: ", row.scan.display())).unwrap_or(why);
         lines.push(format!("{:8} {}: {why}", row.status.word(), plan.name(&row.scan).display()));
     }
     let (peak, bound) = (Size(report.peak_rss_bytes), Size(report.memory));

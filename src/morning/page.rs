@@ -33,8 +33,11 @@ pub(super) fn write(report: &NightReport, folder: &Path, put: &mut dyn FnMut(&st
     put(&page.troubles())?;
     put(&page.plots())?;
     put(&page.table_head())?;
-    for (number, row) in report.rows.iter().enumerate() {
-        put(&page.row(number, row))?;
+    // What did not go as asked has been told.
+    for reduced in [true, false] {
+        for (number, row) in report.rows.iter().enumerate().filter(|(_, row)| row.report.is_some() == reduced) {
+            put(&page.row(number, row))?;
+        }
     }
     put("</table></section>")?;
     put(&page.foot())
@@ -118,7 +121,8 @@ impl Page<'_> {
                     Some(error) => (error.code.as_str(), error.message.as_str()),
                     None => ("waits", "The run ended before its turn; the same command goes on with it."),
                 };
-                let message = message.replace(&format!("{}/", self.common.display()), "");
+                // Its name is said above.
+                let message = message.strip_prefix(&format!("{}: ", row.scan.display())).unwrap_or(message);
                 let tries = if row.tries > 1 { format!(", {} tries", row.tries) } else { String::new() };
                 _ = write!(
                     html,
@@ -126,7 +130,7 @@ impl Page<'_> {
                      <span class=\"tag\">{}{tries}</span></h3><p>{}</p><code>{}</code></div>",
                     escape(&self.name(&row.scan)),
                     escape(code),
-                    escape(&message),
+                    escape(message),
                     escape(&row.repeat),
                 );
             }

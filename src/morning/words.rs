@@ -1,5 +1,8 @@
 //! Numbers as people read them at a glance.
 
+/// A space that does not end a line.
+const NARROW: char = '\u{a0}';
+
 /// `28.1 M`, `140 k`, `999`.
 pub(super) fn short_count(n: u64) -> String {
     let (value, unit) = match n {
@@ -8,25 +11,25 @@ pub(super) fn short_count(n: u64) -> String {
         1_000_000..1_000_000_000 => (n as f64 / 1e6, "M"),
         _ => (n as f64 / 1e9, "G"),
     };
-    format!("{} {unit}", three_digits(value))
+    format!("{}{NARROW}{unit}", three_digits(value))
 }
 
 /// `524 MB`, `1.93 GB`: as disks are sold.
 pub(super) fn disk(bytes: u64) -> String {
     let (value, unit) = match bytes {
-        0..1000 => return format!("{bytes} B"),
+        0..1000 => return format!("{bytes}{NARROW}B"),
         1000..1_000_000 => (bytes as f64 / 1e3, "kB"),
         1_000_000..1_000_000_000 => (bytes as f64 / 1e6, "MB"),
         1_000_000_000..1_000_000_000_000 => (bytes as f64 / 1e9, "GB"),
         _ => (bytes as f64 / 1e12, "TB"),
     };
-    format!("{} {unit}", three_digits(value))
+    format!("{}{NARROW}{unit}", three_digits(value))
 }
 
 /// `188 MiB`: as budgets are given.
 pub(super) fn memory(bytes: u64) -> String {
     let mib = bytes as f64 / (1u64 << 20) as f64;
-    if mib < 10_000.0 { format!("{mib:.0} MiB") } else { format!("{} GiB", three_digits(mib / 1024.0)) }
+    if mib < 10_000.0 { format!("{mib:.0}{NARROW}MiB") } else { format!("{}{NARROW}GiB", three_digits(mib / 1024.0)) }
 }
 
 /// `0.8 s`, `42 s`, `3 min 20 s`, `2 h 05 min`.
@@ -66,9 +69,10 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        assert_eq!([999, 9999, 140_000, 28_061_000].map(short_count), ["999", "9999", "140 k", "28.1 M"]);
-        assert_eq!([999, 524_000, 1_925_932_720].map(disk), ["999 B", "524 kB", "1.93 GB"]);
-        assert_eq!(memory(188 << 20), "188 MiB");
+        let plain = |text: String| text.replace(NARROW, " ");
+        assert_eq!([999, 9999, 140_000, 28_061_000].map(short_count).map(plain), ["999", "9999", "140 k", "28.1 M"]);
+        assert_eq!([999, 524_000, 1_925_932_720].map(disk).map(plain), ["999 B", "524 kB", "1.93 GB"]);
+        assert_eq!(plain(memory(188 << 20)), "188 MiB");
         assert_eq!([0.84, 42.4, 200.0, 7500.0].map(span), ["0.8 s", "42 s", "3 min 20 s", "2 h 05 min"]);
         assert_eq!([0.0, 0.012345, 12.345, 98765.4, 1e-9].map(length), ["0", "0.0123", "12.3", "98765", "1.00e-9"]);
     }
