@@ -147,8 +147,8 @@ impl Run<'_> {
                 (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
             }
         };
-        let reference = reference.filter(|_| !coarser.is_empty());
-        let chain = levels::Chain { mesh, frame, reference, error: error_estimate, locked: &points };
+        let references = reference.filter(|_| !coarser.is_empty()).into_iter().collect();
+        let chain = levels::Chain { mesh, frame, references, error: error_estimate, locked: &points };
         let mut coarser = self.coarser(chain, coarser, &mut clock, &mut seconds, &mut warnings)?;
         let mut portrait = self.begin_portrait(&mut warnings)?;
         seconds.render = clock.lap();

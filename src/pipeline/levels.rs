@@ -1,8 +1,8 @@
 //! Further, coarser meshes of the same scan: each goes on from the one before it.
 //!
 //! The collapse of a coarser level begins with the finer one, refitted, and so costs what that one's faces cost. What it is
-//! refitted to is ten times its size, as if it were alone: the finer mesh where that is large enough; else what the finer
-//! one was refitted to, whose vertices are followed through both collapses.
+//! refitted to is the finer mesh where that is [`FINE_ENOUGH`]; else one of those before it, whose vertices are followed
+//! through the collapses between.
 
 use super::{Clock, Run, mesh_file};
 use crate::collapse::{Collapsed, collapse};
@@ -18,16 +18,17 @@ use glam::DVec3;
 pub(super) struct Chain<'a, S> {
     pub(super) mesh: IndexedMesh<S>,
     pub(super) frame: Frame,
-    /// What it was refitted to.
-    pub(super) reference: Option<Reference<S>>,
+    /// What it can be refitted to, or a coarser one after it: the finest first.
+    pub(super) references: Vec<Reference<S>>,
     /// Its estimated error, in the frame.
     pub(super) error: f64,
     /// Points whose vertices stay, in the frame.
     pub(super) locked: &'a [DVec3],
 }
 
-/// A reference that has fewer faces than this many times a level's is too coarse for it where there is a finer one.
-const FINE_ENOUGH: usize = 8;
+/// Faces of a reference for each of the result's, from which on a finer one gains nothing: it lies closer to the scan than
+/// what a collapse alone would have kept, since it was refitted itself.
+const FINE_ENOUGH: usize = 4;
 
 impl Run<'_> {
     /// Reduces further, to every coarser level.
@@ -61,40 +62,39 @@ impl Run<'_> {
         clock: &mut Clock,
         seconds: &mut Timeline,
     ) -> Result<Chain<'a, S>> {
-        let Chain { mesh, frame, reference: before, error, locked: points } = chain;
+        let Chain { mesh, frame, mut references, error, locked: points } = chain;
         let asked = level.target.faces(self.scan.triangle_count());
         let (faces, vertices) = (mesh.faces.len(), mesh.positions.len());
         let refits = self.job.refit_rounds > 0;
         let mut options = self.collapse_options(asked, faces, frame, points);
-        options.keep_reference = refits && (options.keep_reference || before.is_some());
+        options.keep_reference = refits && (options.keep_reference || !references.is_empty());
         // Pieces that are too small have gone.
         options.policies.min_component = None;
         let Collapsed { mut mesh, error_estimate, reference, locked, .. } =
             collapse(mesh, None, &options, self.progress)?;
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse += clock.lap();
-        let reference = reference.map(|kept| match before {
-            Some(before) if kept.mesh.faces.len() < FINE_ENOUGH * mesh.faces.len() => {
-                followed(before, kept, faces, vertices)
+        match reference {
+            // Kept as it came in: all that it stands for has gone where it has.
+            Some(kept) if (kept.mesh.faces.len(), kept.homes.len()) == (faces, vertices) => {
+                references.iter_mut().for_each(|finer| follow(finer, &kept));
+                references.push(kept);
             }
-            _ => kept,
-        });
-        if let Some(reference) = &reference {
+            Some(kept) => references = vec![kept],
+            None => references.clear(),
+        }
+        let enough = |reference: &&Reference<S>| reference.mesh.faces.len() >= FINE_ENOUGH * mesh.faces.len();
+        if let Some(reference) = references.iter().rev().find(enough).or(references.first()) {
             refit(&mut mesh, reference, self.job.refit_rounds, &locked, self.progress)?;
         }
         seconds.refit += clock.lap();
-        Ok(Chain { mesh, frame, reference, error: error + error_estimate, locked: points })
+        Ok(Chain { mesh, frame, references, error: error + error_estimate, locked: points })
     }
 }
 
-/// The finer reference, its vertices followed to where `kept` says that those of the mesh between went, if that was kept
-/// as it came into the collapse.
-fn followed<S: Coordinate>(mut finer: Reference<S>, kept: Reference<S>, faces: usize, vertices: usize) -> Reference<S> {
-    if (kept.mesh.faces.len(), kept.homes.len()) != (faces, vertices) {
-        return kept;
-    }
+/// Follows the vertices of a finer reference to where those of the mesh that it stood for went.
+fn follow<S: Coordinate>(finer: &mut Reference<S>, kept: &Reference<S>) {
     for home in finer.homes.iter_mut().filter(|home| **home != u32::MAX) {
         *home = kept.homes[*home as usize];
     }
-    finer
 }
