@@ -14,9 +14,9 @@
 //! | module | takes | gives |
 //! |---|---|---|
 //! | [`read`] | a mapped PLY or STL | chunks of vertices, triangles or soup; or the whole scan, welded |
-//! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex |
+//! | [`cluster`] | those chunks | an intermediate mesh of about twelve times the result's size, a quadric a vertex, samples of the surface |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
-//! | [`refit`] | that mesh, and a finer one that it stands for | the same mesh, closer to the scan |
+//! | [`refit`] | that mesh, and samples of the scan or a finer mesh | the same mesh, closer to the scan |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
 //! | [`picture`] | a scan, a camera | what it looks like |

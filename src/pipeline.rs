@@ -12,15 +12,14 @@ pub use portrait::PortraitAsked;
 pub use render::render;
 
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
-use crate::collapse::{self, Collapsed, collapse};
+use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
-use crate::mesh::{Coordinate, Frame, IndexedMesh};
-use crate::plan::{Cells, LEAST_RATIO, Purse, most_threads};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
+use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
-use crate::quadric::PackedQuadric;
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
-use crate::refit::{self, refit};
+use crate::refit::{self, Aim, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
@@ -45,7 +44,7 @@ pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress:
         let coarser = job.coarser.iter().map(prepare).collect::<Result<Vec<_>>>()?;
         let scan = Scan::open(&job.input, progress)?;
         let asked = job.target.faces(scan.triangle_count());
-        let purse = Purse::new(job.memory.0, threads, asked, job.refit_rounds > 0);
+        let purse = Purse::new(job.memory.0, threads, ask(job, asked));
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
         let run = Run { job, portrait, threads, progress, scan: &scan, purse, begun, locked };
         match scan.scalar() {
@@ -62,6 +61,12 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) 
         .build()
         .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
     pool.install(work)
+}
+
+/// What a job that asks for so many faces is to be paid.
+fn ask(job: &Job, asked: Option<u64>) -> Ask {
+    let target = asked.unwrap_or(0);
+    Ask { target, refit_rounds: job.refit_rounds, tail_bytes: collapse::tail_bytes(target, &job.policies) }
 }
 
 /// Who streams a scan within a budget.
@@ -86,7 +91,8 @@ struct Run<'a> {
 struct Intermediate<S> {
     mesh: IndexedMesh<S>,
     frame: Frame,
-    quadrics: Option<Vec<PackedQuadric>>,
+    carried: Option<Carried>,
+    samples: Option<SampleFile>,
     source: Source,
 }
 
@@ -105,25 +111,27 @@ impl Run<'_> {
         let mut clock = Clock::new(self.begun);
         let mut seconds = Timeline::default();
         let opened = clock.lap();
-        let Intermediate { mesh, frame, quadrics, source } = self.intermediate::<S>(asked)?;
+        let Intermediate { mesh, frame, carried, samples, source } = self.intermediate::<S>(asked)?;
         match source {
             Source::Loaded(_) => seconds.read = opened + clock.lap(),
             Source::Clustered(_) => (seconds.read, seconds.cluster) = (opened, clock.lap()),
         }
         let faces = mesh.faces.len();
         let points: Vec<DVec3> = self.locked.iter().map(|p| p.map(|x| frame.to_frame(x))).collect();
-        let options = self.collapse_options(asked, faces, frame, &points);
-        let Collapsed { mut mesh, error_estimate, irregularities, reference, dropped, locked, .. } =
-            collapse(mesh, quadrics, &options, self.progress)?;
+        let options = self.collapse_options(asked, faces, frame, &points, samples.is_some());
+        let Collapsed { mut mesh, error_estimate, irregularities, reference, homes, dropped, locked, .. } =
+            collapse(mesh, carried, &options, self.progress)?;
         if dropped.faces == faces as u64 {
             let what = "every piece is smaller than the least component asked for".into();
             return Err(Error::Unmet { file: self.job.input.clone(), what });
         }
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse = clock.lap();
-        if let Some(reference) = &reference {
-            refit(&mut mesh, reference, self.job.refit_rounds, &locked, self.progress)?;
-        }
+        let most = self.purse.samples_at_once(mesh.faces.len() as u64);
+        let samples = samples.map(|file| file.load(most, &homes)).transpose()?;
+        let aim = Aim { reference: reference.as_ref(), samples: samples.as_ref() };
+        refit(&mut mesh, &aim, self.job.refit_rounds, &locked, self.progress)?;
+        drop(samples);
         seconds.refit = clock.lap();
 
         let mut warnings = self.warnings(asked, &source, faces);
@@ -213,7 +221,7 @@ impl Run<'_> {
             self.progress.begin(Stage::Read, self.scan.bytes());
             let crew = Crew { workers: 1, progress: self.progress };
             if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
-                return Ok(Intermediate { mesh, frame, quadrics: None, source: Source::Loaded(report) });
+                return Ok(Intermediate { mesh, frame, carried: None, samples: None, source: Source::Loaded(report) });
             }
         }
         let locks = self.job.lock_vertices.as_ref().map(|_| "locking vertices");
@@ -241,6 +249,7 @@ impl Run<'_> {
                 cells,
                 raw_faces,
                 spill_resident_bytes,
+                samples: self.purse.samples(self.scan),
                 boundary_weight: self.job.policies.boundary_weight,
                 limit,
             };
@@ -266,7 +275,8 @@ impl Run<'_> {
             return Ok(Intermediate {
                 mesh: clustered.mesh,
                 frame: clustered.frame,
-                quadrics: Some(clustered.quadrics),
+                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes }),
+                samples: clustered.samples,
                 source: Source::Clustered(clustered.stats),
             });
         }
@@ -278,6 +288,7 @@ impl Run<'_> {
         faces: usize,
         frame: Frame,
         locked: &'p [DVec3],
+        sampled: bool,
     ) -> collapse::Options<'p> {
         let max_error = match self.job.target {
             Target::MaxError(length) => frame.to_frame(length),
@@ -289,7 +300,7 @@ impl Run<'_> {
             max_error,
             policies: self.job.policies.in_frame(frame),
             locked,
-            keep_reference: self.job.refit_rounds > 0 && target.saturating_mul(refit::LEAST_RATIO) <= faces,
+            keep_reference: self.purse.keeps_reference(sampled) && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
     }
 

@@ -12,8 +12,9 @@
 //! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
 //! | threads | 1.5 MiB each (stacks, heaps of their own); a 24th of the budget is set aside, and fewer run if need be |
 //! | collapse | 36 a face, 113 a vertex (137), and a fourteenth: about 99 a face on closed scans |
-//! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target |
+//! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target; 4 a vertex where samples do |
 //! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
+//! | refit | 180 a face that is asked for, 24 a sample |
 //!
 //! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
 //! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
@@ -27,14 +28,17 @@ use crate::collapse;
 use crate::error::{Error, Result};
 use crate::measure;
 use crate::mesh::Coordinate;
+use crate::mesh::samples::SAMPLE_BYTES;
 use crate::read::{Crew, Layout, Scan, load_peak_bytes};
+use crate::refit;
 
 /// Resident before any stage has allocated: 6 MiB of program, libraries and stacks, measured, and as much again for what
 /// allocators keep back.
 const BASE_BYTES: u64 = 12 * MIB;
 
-/// Intermediate : target that is aimed at.
-pub const AIM: f64 = 10.0;
+/// Intermediate : target that is aimed at: 10 is 3 % further from the scan where this is large and noisy, and faster by as
+/// much of the whole run.
+pub const AIM: f64 = 12.0;
 
 /// Intermediate : target below which a budget is refused.
 pub const LEAST_RATIO: f64 = 2.0;
@@ -49,10 +53,14 @@ const SURVIVORS_A_CELL: usize = 4;
 /// What the collapse takes beside its arrays, as a share of them: lists of a round, and what allocators keep back.
 const COLLAPSE_MARGIN: f64 = 0.07;
 
-/// What the last steps of the collapse take for each face that is asked for: a heap of its edges, which grows by
-/// doubling. By then the lists of the rounds are gone, so many bytes a vertex.
-const TAIL_BYTES: u64 = 96;
+/// What the lists of the collapse's rounds take, for each vertex that came in; they are gone when the last steps begin.
 const ROUND_BYTES: u64 = 24;
+
+/// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too.
+const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
+const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
+/// By how much more surface a scan may have than its sample shows before samples are thinned.
+const SAMPLES_MARGIN: f64 = 1.15;
 
 /// What a thread takes: its stack, and what its part of the heap keeps back.
 const THREAD_BYTES: u64 = 3 * MIB / 2;
@@ -73,24 +81,32 @@ pub struct Cells {
     pub most: usize,
 }
 
+/// What is to be paid for.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Ask {
+    /// Faces that are asked for; 0 for as few as an error bound allows.
+    pub target: u64,
+    /// Rounds of refit.
+    pub refit_rounds: u32,
+    /// What the last steps of the collapse take.
+    pub tail_bytes: u64,
+}
+
 /// A budget and the hands that share it.
 #[derive(Debug, Clone, Copy)]
 pub struct Purse {
     bytes: u64,
-    /// Faces that are asked for; 0 for as few as an error bound allows.
-    target: u64,
+    ask: Ask,
     /// Threads that streaming passes may use: windows and caches are paid for each.
     pub workers: usize,
-    /// Whether the result is refitted, to a reference that the collapse keeps.
-    pub refits: bool,
 }
 
 impl Purse {
     /// Of `bytes`, at most a quarter for what `threads` workers of a streaming pass need: fewer of them work if need be.
-    pub fn new(bytes: u64, threads: usize, target: Option<u64>, refits: bool) -> Self {
+    pub fn new(bytes: u64, threads: usize, ask: Ask) -> Self {
         let fits = |n: &usize| streaming_bytes(*n) <= aside(bytes);
         let workers = (1..=threads).rev().find(fits).unwrap_or(1);
-        Purse { bytes, target: target.unwrap_or(0), workers, refits }
+        Purse { bytes, ask, workers }
     }
 
     /// What is left for arrays while nothing streams.
@@ -106,14 +122,44 @@ impl Purse {
 
     /// What the collapse's own arrays may take if it begins with so many vertices.
     fn for_collapse(&self, vertices: u64) -> u64 {
-        let tail = TAIL_BYTES.saturating_mul(self.target).saturating_sub(ROUND_BYTES.saturating_mul(vertices));
+        let tail = self.ask.tail_bytes.saturating_sub(ROUND_BYTES.saturating_mul(vertices));
         (self.for_arrays().saturating_sub(tail) as f64 / (1.0 + COLLAPSE_MARGIN)) as u64
     }
 
-    /// What a collapse takes that begins within twenty times the target. The refit, after it, takes less.
-    fn near_bytes<S: Coordinate>(&self, faces: u64, vertices: u64) -> u64 {
-        let kept = if self.refits { collapse::reference_bytes::<S>(faces, vertices) } else { 0 };
-        collapse::bytes::<S>(faces, vertices) + kept
+    /// What a collapse takes that begins within twenty times the target, with or without samples of the scan. The refit,
+    /// after it, takes less, or has fewer samples.
+    fn near_bytes<S: Coordinate>(&self, faces: u64, vertices: u64, sampled: bool) -> u64 {
+        let kept = if self.keeps_reference(sampled) { collapse::reference_bytes::<S>(faces, vertices) } else { 0 };
+        collapse::bytes::<S>(faces, vertices) + kept + if sampled { 4 * vertices } else { 0 }
+    }
+
+    /// Whether the collapse is to keep a reference: samples of the scan make do without in the first round.
+    pub fn keeps_reference(&self, sampled: bool) -> bool {
+        self.ask.refit_rounds > u32::from(sampled)
+    }
+
+    /// How many samples of a scan that is clustered are worth taking.
+    pub fn samples(&self, scan: &Scan) -> u64 {
+        let target = self.ask.target;
+        if self.ask.refit_rounds == 0 || target == 0 {
+            return 0;
+        }
+        let vertices = scan.vertex_count().min(scan.triangle_count());
+        let spilled = scan.layout() == Layout::Indexed && cluster::resident_spill_bytes(vertices) > self.bytes / 2;
+        let a_vertex = if spilled { SAMPLE_SCRATCH_BESIDE_BYTES } else { SAMPLE_SCRATCH_BYTES };
+        let on_scratch = (a_vertex * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        let most = (self.samples_at_once(target) as f64 / SAMPLES_MARGIN) as u64;
+        let samples = (refit::SAMPLES as u64).saturating_mul(target).min(on_scratch).min(most);
+        if samples < 2 * (refit::LEAST_SAMPLES as u64).saturating_mul(target) { 0 } else { samples }
+    }
+
+    /// How many samples there is room for when a result of so many faces is refitted.
+    pub fn samples_at_once(&self, faces: u64) -> usize {
+        // Homes, and where more rounds follow a reference.
+        let reference = if self.ask.refit_rounds > 1 { collapse::reference_bytes::<f64>(2, 1) } else { 0 };
+        let kept = (AIM / 2.0) as u64 * faces.saturating_mul(4 + reference);
+        let taken = refit::BYTES_A_FACE.saturating_mul(faces).saturating_add(kept);
+        (self.for_arrays().saturating_sub(taken) / refit::BYTES_A_SAMPLE) as usize
     }
 
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out
@@ -121,8 +167,8 @@ impl Purse {
     pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
         let bytes = |faces, vertices| {
-            if self.target == 0 || scan.triangle_count() / 20 < self.target {
-                self.near_bytes::<S>(faces, vertices)
+            if self.ask.target == 0 || scan.triangle_count() / 20 < self.ask.target {
+                self.near_bytes::<S>(faces, vertices, false)
             } else {
                 collapse::bytes::<S>(faces, vertices)
             }
@@ -140,16 +186,16 @@ impl Purse {
     fn for_scan(&self, scan: &Scan) -> u64 {
         let faces = scan.triangle_count();
         // A scan of no more faces than are asked for is welded, not collapsed.
-        let purse = Purse { target: if self.target < faces { self.target } else { 0 }, ..*self };
+        let purse = Purse { ask: if self.ask.target < faces { self.ask } else { Ask::default() }, ..*self };
         purse.for_collapse(scan.vertex_count().min(faces / 2))
     }
 
     /// The cells for a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
     pub fn out_of_core<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Cells> {
-        let most_cells = self.most_cells::<S>(scan.layout());
+        let most_cells = self.most_cells::<S>(scan);
         let least_cells = target.map_or(0, |n| cells_for(n, LEAST_RATIO)).max(LEAST_CELLS);
         if most_cells < least_cells {
-            let enough = self.least_budget(|purse| purse.most_cells::<S>(scan.layout()) >= least_cells);
+            let enough = self.least_budget(|purse| purse.most_cells::<S>(scan) >= least_cells);
             let needed_bytes = enough.min(self.in_core_budget::<S>(scan));
             let ask = target.map_or("the error bound".into(), |n| format!("{n} faces"));
             let what = format!("{} cannot be reduced to {ask} within this budget", scan.path().display());
@@ -160,14 +206,15 @@ impl Purse {
     }
 
     /// The most cells that clustering, and the collapse of what comes of it, have room for.
-    fn most_cells<S: Coordinate>(&self, layout: Layout) -> usize {
+    fn most_cells<S: Coordinate>(&self, scan: &Scan) -> usize {
+        let (layout, sampled) = (scan.layout(), self.samples(scan) > 0);
         let fits = |cells: usize| {
             let n = cells as u64;
             let faces = 2 * n + n / 64;
             let survivors = (SURVIVORS_A_CELL * cluster::BYTES_PER_RAW_FACE) as u64 * n;
             cluster::summing_bytes(cells, layout) + survivors <= self.while_streaming()
                 && cluster::placing_bytes(cells, S::DOUBLE) + 12 * faces <= self.for_arrays()
-                && self.near_bytes::<S>(faces, n) <= self.for_collapse(n)
+                && self.near_bytes::<S>(faces, n, sampled) <= self.for_collapse(n)
         };
         let (mut low, mut high) = (0, cluster::MAX_CELLS + 1);
         while high - low > 1 {
@@ -185,13 +232,14 @@ impl Purse {
         // Binned vertices that are all resident need no windows on a spill.
         let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
         let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
-        let (face_bytes, vertex_bytes) = (self.near_bytes::<S>(1, 0), self.near_bytes::<S>(0, 1));
+        let sampled = self.samples(scan) > 0;
+        let (face_bytes, vertex_bytes) = (self.near_bytes::<S>(1, 0, sampled), self.near_bytes::<S>(0, 1, sampled));
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
     }
 
     /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
     pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
-        let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count());
+        let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count(), false);
         let loading = load_peak_bytes(scan);
         self.least_budget(|purse| collapse <= purse.for_scan(scan) && loading <= purse.for_arrays())
     }
@@ -237,5 +285,5 @@ fn cells_for(target: u64, ratio: f64) -> usize {
 
 /// The least budget that has room for so many bytes of arrays while a scan streams past.
 pub fn streaming_budget(arrays: u64) -> u64 {
-    Purse::new(0, 1, None, false).least_budget(|purse| arrays <= purse.while_streaming())
+    Purse::new(0, 1, Ask::default()).least_budget(|purse| arrays <= purse.while_streaming())
 }

@@ -5,16 +5,18 @@
 
 use super::corners::{BATCH, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, absolute, coordinates, is_far};
+use super::sampling::SampleWorker;
 use super::sums::{Gatherer, Share, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
-use glam::Vec3A;
+use glam::{Vec3, Vec3A};
 
 /// One worker of the face pass.
 pub(super) struct FaceWorker<'a> {
     table: &'a CellTable,
     gatherer: Gatherer<'a>,
     appender: Appender<'a>,
+    samples: Option<SampleWorker<'a>>,
     batch: Box<Batch>,
     /// Quanta of weight for a cross product of length one.
     quanta: f32,
@@ -45,11 +47,12 @@ const AT_ONCE: usize = 64;
 const CROSS_SCALE: f32 = 1.0 / (1u64 << 32) as f32;
 
 impl<'a> FaceWorker<'a> {
-    /// A worker that adds to `sums` and `survivors`; `quantum` is the unit of weight, in cells².
+    /// A worker that adds to `sums` and `survivors`, and takes `samples`; `quantum` is the unit of weight, in cells².
     pub(super) fn new(
         table: &'a CellTable,
         sums: &'a Sums,
         survivors: &'a Survivors,
+        samples: Option<SampleWorker<'a>>,
         quantum: f64,
         coherent: bool,
     ) -> Self {
@@ -58,6 +61,7 @@ impl<'a> FaceWorker<'a> {
             table,
             gatherer: Gatherer::new(sums),
             appender: Appender::new(survivors),
+            samples,
             batch: Box::new(Batch { faces, x: [0.0; BATCH], y: [0.0; BATCH], z: [0.0; BATCH], w: [0.0; BATCH] }),
             quanta: (0.5 / (STEPS * STEPS * quantum) / f64::from(CROSS_SCALE)) as f32,
             flat_faces: 0,
@@ -69,6 +73,7 @@ impl<'a> FaceWorker<'a> {
     pub(super) fn flush(&mut self) {
         self.gatherer.flush();
         self.appender.flush();
+        self.samples.iter_mut().for_each(SampleWorker::flush);
     }
 
     /// Adds the plane of a face within one cell to it.
@@ -122,6 +127,12 @@ impl Sink for FaceWorker<'_> {
         self.batch.cross_inside(inside);
         self.batch.cross_across(inside, end, self.table);
         self.flat_faces += u64::from(self.batch.normalise(end, self.quanta));
+        if let Some(samples) = &mut self.samples {
+            let batch = &*self.batch;
+            for i in 0..end {
+                samples.take(batch.faces[i], batch.w[i], || Vec3::new(batch.x[i], batch.y[i], batch.z[i]));
+            }
+        }
         if self.coherent {
             (0..inside).for_each(|i| self.add_inside::<true>(i));
             (inside..end).for_each(|i| self.add_across::<true>(i));

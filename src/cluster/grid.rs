@@ -4,6 +4,7 @@
 //! so that everything after this file is exact integer arithmetic: two faces that share a vertex see the same bits.
 
 use super::sizing::Sizing;
+use crate::mesh::samples::Lattice;
 use crate::mesh::{Extent, Frame};
 use glam::DVec3;
 
@@ -62,6 +63,11 @@ impl Place {
         self.frame
     }
 
+    /// Where samples of the scan can lie.
+    pub(super) fn lattice(&self) -> Lattice {
+        Lattice::over(self.min, self.max)
+    }
+
     fn longest(&self) -> f64 {
         (self.max - self.min).max_element()
     }
@@ -103,6 +109,11 @@ impl Grid {
             place.min - 0.25 * cell
         };
         Grid { frame: place.frame, origin, cell, steps_per_unit: STEPS / cell }
+    }
+
+    /// Where steps are counted from, in the frame.
+    pub(super) fn origin(&self) -> DVec3 {
+        self.origin
     }
 
     /// The steps of a position in the file's units; `None` when it is not finite, or further off than even far cells are.

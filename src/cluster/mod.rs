@@ -42,6 +42,7 @@ mod faces;
 mod grid;
 mod join;
 mod represent;
+mod sampling;
 mod sizing;
 mod spill;
 mod sums;
@@ -51,7 +52,7 @@ mod table;
 mod used;
 
 use crate::error::{Error, Result};
-use crate::mesh::{Coordinate, Frame, IndexedMesh};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, Layout, Scan};
 use crate::scratch::Scratch;
@@ -60,6 +61,7 @@ use corners::{Corners, Feed};
 use faces::FaceWorker;
 use grid::{Grid, Place};
 use represent::Evidence;
+use sampling::{SampleWorker, Sampler};
 use sizing::Sizing;
 use spill::Spill;
 use sums::{Sums, Totals};
@@ -89,6 +91,8 @@ pub struct ClusterOptions {
     pub raw_faces: usize,
     /// How much of the binned vertices may be in memory: all of them, if they fit, else a range of a join.
     pub spill_resident_bytes: u64,
+    /// Samples of the surface that are to be taken, about; 0 for none.
+    pub samples: u64,
     /// Weight of open borders against the surface.
     pub boundary_weight: f64,
     /// What the clustered mesh may be.
@@ -115,7 +119,7 @@ impl MeshLimit {
 }
 
 /// A clustered scan.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub struct Clustered<S> {
     /// A vertex a cell that a surviving face uses, in Morton order; faces sorted.
     pub mesh: IndexedMesh<S>,
@@ -123,6 +127,10 @@ pub struct Clustered<S> {
     pub frame: Frame,
     /// What each vertex's cell has learnt, about the vertex, in the frame.
     pub quadrics: Vec<PackedQuadric>,
+    /// Samples of the scan's surface, each near a cell, if they were asked for.
+    pub samples: Option<SampleFile>,
+    /// The vertex of each such cell; [`u32::MAX`] where it has none. Empty without samples.
+    pub homes: Vec<u32>,
     /// What was counted.
     pub stats: ClusterStats,
 }
@@ -189,7 +197,7 @@ pub const BYTES_PER_RAW_FACE: usize = survivors::TRIPLE_BYTES;
 
 /// Bytes that a worker takes, beside what reading does and [`bytes_per_spill_worker`].
 pub const fn bytes_per_worker() -> usize {
-    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + corners::FEED_BYTES
+    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + sampling::WORKER_BYTES + corners::FEED_BYTES
 }
 
 /// Bytes that a worker takes for a spill that is not resident.
@@ -253,6 +261,7 @@ struct Learnt {
     quantum: f64,
     totals: Totals,
     ranks: Vec<u32>,
+    samples: Option<SampleFile>,
     /// Netted.
     triples: Vec<[u32; 3]>,
 }
@@ -284,7 +293,17 @@ impl Run<'_> {
         let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
         let sums = Sums::new(if spill.is_some() { table.len() } else { room });
         let survivors = Survivors::new(self.options.raw_faces);
-        let worker = || FaceWorker::new(&table, &sums, &survivors, quantum, self.coherent);
+        let sampler = match self.options.samples {
+            0 => None,
+            wanted => {
+                let area = (sizing.area(grid.cell), quantum);
+                Some(Sampler::new((&grid, &table), self.place.lattice(), area, wanted, self.scratch)?)
+            }
+        };
+        let worker = || {
+            let samples = sampler.as_ref().map(SampleWorker::new);
+            FaceWorker::new(&table, &sums, &survivors, samples, quantum, self.coherent)
+        };
         let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &used, worker)?;
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
@@ -294,6 +313,7 @@ impl Run<'_> {
         for mut feed in feeds {
             feed.sink.flush();
         }
+        let samples = sampler.map(Sampler::finish).transpose()?;
         if table.is_full() {
             drop((table, sums, survivors));
             return self.overflowed(&grid, sizing);
@@ -316,7 +336,7 @@ impl Run<'_> {
             return Ok(self.coarsen(sizing, excess));
         }
         triples.shrink_to_fit();
-        Ok(Some(Learnt { grid, table, spill, quantum, totals, ranks, triples }))
+        Ok(Some(Learnt { grid, table, spill, quantum, totals, ranks, samples, triples }))
     }
 
     /// Learns from a table that had no room.
@@ -367,7 +387,7 @@ impl Run<'_> {
 
     /// Holds borders, places representatives.
     fn finish<S: Coordinate>(mut self, learnt: Learnt) -> Result<Clustered<S>> {
-        let Learnt { grid, mut table, spill, quantum, mut totals, ranks, mut triples } = learnt;
+        let Learnt { grid, mut table, spill, quantum, mut totals, ranks, samples, mut triples } = learnt;
         let frame = self.place.frame();
         self.stats.occupied_cells = ranks.len() as u64;
         self.stats.outgrown_cells = totals.outgrown() as u64;
@@ -392,8 +412,13 @@ impl Run<'_> {
             quantum,
         };
         let (positions, quadrics) = evidence.represent(&cells, self.crew);
+        let mut homes = Vec::new();
+        if samples.is_some() {
+            homes.resize(table.len(), u32::MAX);
+            cells.iter().enumerate().for_each(|(vertex, cell)| homes[*cell as usize] = vertex as u32);
+        }
         let mesh = IndexedMesh { positions, faces: triples };
-        Ok(Clustered { mesh, frame, quadrics, stats: self.stats })
+        Ok(Clustered { mesh, frame, quadrics, samples, homes, stats: self.stats })
     }
 }
 

@@ -54,9 +54,15 @@ const OPTIONS: ClusterOptions = ClusterOptions {
     cells: 3000,
     raw_faces: 12_000,
     spill_resident_bytes: 1 << 30,
+    samples: 0,
     boundary_weight: 1.0,
     limit: MeshLimit { face_bytes: 1, vertex_bytes: 1, bytes: 1 << 30 },
 };
+
+/// Whether two clusterings are the same but for samples.
+fn same(a: &Clustered<f32>, b: &Clustered<f32>) -> bool {
+    a.mesh == b.mesh && a.quadrics == b.quadrics && a.frame == b.frame && a.stats == b.stats
+}
 
 impl Made {
     fn cluster(&self, workers: usize, options: &ClusterOptions) -> Result<Clustered<f32>> {
@@ -218,7 +224,7 @@ fn threads_order_and_memory_do_not_change_a_bit() {
     let resident = ordered.cluster(1, &OPTIONS).unwrap();
     assert_eq!(resident.stats.scratch_bytes, 0);
     for workers in [2, 3, 8] {
-        assert!(ordered.cluster(workers, &OPTIONS).unwrap() == resident, "{workers} workers");
+        assert!(same(&ordered.cluster(workers, &OPTIONS).unwrap(), &resident), "{workers} workers");
     }
     let paged = ordered.cluster(2, &tight).unwrap();
     assert_eq!(paged.stats.scratch_bytes, 8 * 60_000);
@@ -241,6 +247,51 @@ fn threads_order_and_memory_do_not_change_a_bit() {
 }
 
 #[test]
+fn samples_lie_on_the_scan_evenly_whatever_the_order() {
+    let (positions, mut faces) = torus(150, 400);
+    let options = ClusterOptions { samples: 20_000, ..OPTIONS };
+    let sampled = |made: &Made, workers: usize, most: usize| {
+        let clustered = made.cluster(workers, &options).unwrap();
+        let file = clustered.samples.as_ref().unwrap();
+        (file.load(most, &clustered.homes).unwrap(), clustered)
+    };
+    let area = 4.0 * std::f64::consts::PI.powi(2) * 0.3;
+    for made in [ply(&positions, &faces), stl(&positions, &faces)] {
+        let (one, clustered) = sampled(&made, 1, 1 << 20);
+        let unit = clustered.frame.to_file(1.0);
+        let count = one.samples.len() as f64;
+        assert!((count - 20_000.0).abs() < 1000.0, "{count}");
+        assert!((one.area * unit * unit * count - area).abs() < 0.03 * area, "{} each", one.area);
+        let mut outside = 0;
+        for sample in &one.samples {
+            let p = DVec3::from(one.lattice.position::<f64>(sample)) * unit;
+            let ring = DVec3::new(p.x, p.y, 0.0).normalize();
+            let off = p - ring;
+            assert!((off.length() - 0.3).abs() < 1e-3, "{p}");
+            assert!(sample.normal().as_dvec3().dot(off / off.length()) > 0.99, "{p}");
+            outside += usize::from(p.x.hypot(p.y) > 1.0);
+            let vertex = DVec3::from(clustered.mesh.positions[sample.near as usize].map(f64::from)) * unit;
+            assert!((vertex - p).length() < 4.0 * clustered.stats.cell_size, "{p} is near {vertex}");
+        }
+        // The outer half of a torus has half its area and two thirds of the circle's radius over pi more.
+        let share = outside as f64 / count;
+        assert!((share - (0.5 + 0.3 / std::f64::consts::PI)).abs() < 0.015, "{share}");
+        let (three, _) = sampled(&made, 3, 1 << 20);
+        assert!(three.samples == one.samples && three.area == one.area);
+        let (few, _) = sampled(&made, 2, 6000);
+        assert!(few.samples.len() <= 6000 && few.area == 4.0 * one.area, "{}", few.samples.len());
+    }
+    Random(2).shuffle(&mut faces);
+    let shuffled = ply(&positions, &faces);
+    let (resident, _) = sampled(&shuffled, 2, 1 << 20);
+    Random(9).shuffle(&mut faces);
+    let tight = ClusterOptions { spill_resident_bytes: 100_000, ..options };
+    let joined = shuffled.cluster(3, &tight).unwrap();
+    let again = joined.samples.unwrap().load(1 << 20, &joined.homes).unwrap();
+    assert!(again.samples == resident.samples);
+}
+
+#[test]
 fn what_does_not_fit_begins_again_with_larger_cells() {
     // Specks all over a volume: next to no area, but a cell each.
     let mut random = Random(5);
@@ -253,7 +304,7 @@ fn what_does_not_fit_begins_again_with_larger_cells() {
     for made in [ply(&positions, &faces), stl(&positions, &faces)] {
         let one = made.cluster(1, &OPTIONS).unwrap();
         assert!((2000..=3200).contains(&one.stats.occupied_cells), "{:?}", one.stats);
-        assert!(made.cluster(3, &OPTIONS).unwrap() == one);
+        assert!(same(&made.cluster(3, &OPTIONS).unwrap(), &one));
     }
     let (positions, faces) = torus(150, 400);
     let made = ply(&positions, &faces);
@@ -263,7 +314,7 @@ fn what_does_not_fit_begins_again_with_larger_cells() {
         let one = made.cluster(1, &options).unwrap();
         assert!(one.stats.overflows >= 1 && one.mesh.faces.len() <= 1500, "{:?}", one.stats);
         assert!(one.mesh.faces.len() > 1000, "{:?}", one.stats);
-        assert!(made.cluster(3, &options).unwrap() == one);
+        assert!(same(&made.cluster(3, &options).unwrap(), &one));
     }
 }
 
@@ -296,7 +347,7 @@ fn an_open_border_stays_where_it_is() {
     assert!(held > 40 && clustered.stats.border_cells > held, "{held} held: {:?}", clustered.stats);
     // Without room for all border sums at once the faces pass by more often, to the same end.
     let tight = made.cluster(2, &ClusterOptions { raw_faces: clustered.stats.surviving_faces as usize, ..options });
-    assert!(tight.unwrap() == clustered);
+    assert!(same(&tight.unwrap(), &clustered));
     let loose = made.cluster(2, &ClusterOptions { boundary_weight: 0.0, ..options }).unwrap();
     let least = |c: &Clustered<f32>| c.mesh.positions.iter().map(|p| at(p)[0]).fold(1.0, f64::min);
     assert!(least(&clustered) < 0.01 * cell && least(&loose) > 0.1 * cell);
@@ -339,7 +390,7 @@ fn what_is_astray_does_not_make_the_grid_useless() {
     for made in [ply(&positions, &faces), stl(&positions, &faces)] {
         let strayed = made.cluster(1, &OPTIONS).unwrap();
         near(&strayed.stats);
-        assert!(made.cluster(3, &OPTIONS).unwrap() == strayed);
+        assert!(same(&made.cluster(3, &OPTIONS).unwrap(), &strayed));
         let mesh = &strayed.mesh;
         let (mut far, mut off) = (0, 0);
         for position in &mesh.positions {

@@ -1,8 +1,9 @@
 //! Applying a batch: merge, renumber, compact. Orders are kept, so that numbers stay monotone and locality stays.
 
+use super::Followed;
 use super::batch::{Batch, NONE};
 use super::surface::{KEPT, Surface, TOUCHED};
-use crate::mesh::{Coordinate, Reference, widen};
+use crate::mesh::{Coordinate, widen};
 use crate::quadric::PackedQuadric;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
@@ -18,7 +19,7 @@ pub(super) fn commit<S: Coordinate>(
     surface: &mut Surface<S>,
     batch: &mut Batch<S>,
     leaders: &[u32],
-    reference: Option<&mut Reference<S>>,
+    followed: &mut Followed<S>,
 ) -> f64 {
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
         m.fetch_and(KEPT, Relaxed);
@@ -27,9 +28,9 @@ pub(super) fn commit<S: Coordinate>(
     rename(surface, batch);
     compact(surface, batch.spare());
     surface.pieces.count(&surface.faces);
-    if let Some(reference) = reference {
-        let numbers = &batch.next;
-        reference.homes.par_iter_mut().with_min_len(4096).filter(|home| **home != NONE).for_each(|home| {
+    let numbers = &batch.next;
+    for homes in followed.lists() {
+        homes.par_iter_mut().with_min_len(4096).filter(|home| **home != NONE).for_each(|home| {
             *home = numbers[batch.becomes(*home) as usize].load(Relaxed);
         });
     }

@@ -88,6 +88,15 @@ impl Options<'_> {
     }
 }
 
+/// What clustering knows of the vertices that it hands on.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Carried {
+    /// What each vertex has learnt, about its position.
+    pub quadrics: Vec<PackedQuadric>,
+    /// Vertices that somebody wants to find again, [`u32::MAX`] for none.
+    pub homes: Vec<u32>,
+}
+
 /// The reduced mesh and what happened.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Collapsed<S> {
@@ -100,6 +109,8 @@ pub struct Collapsed<S> {
     /// What the result stands for, if it was to be kept: the mesh that came in, or what was left of it at ten times the
     /// target.
     pub reference: Option<Reference<S>>,
+    /// What became of [`Carried::homes`].
+    pub homes: Vec<u32>,
     /// Rounds of batches.
     pub rounds: u32,
     /// Whether faces had to be folded over to reach the count.
@@ -170,35 +181,54 @@ pub fn reference_bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
     12 * faces + (3 * size_of::<S>() as u64 + 4) * vertices
 }
 
-/// Collapses `mesh` to at most `options.target` faces. `learnt` are the quadrics that its vertices carry, about their
-/// positions; without them, those of its faces. Ends above the target only where `options.max_error` forbids the rest.
+/// Bytes that the last steps take on the way to so many faces: a heap of the edges that are left then, which grows by
+/// doubling, and their stars.
+pub fn tail_bytes(target: u64, policies: &Policies) -> u64 {
+    if policies.ends_serially() {
+        return SERIAL_BYTES.saturating_mul(target.saturating_add(serial_faces(target as usize) as u64));
+    }
+    TAIL_BYTES.saturating_mul(target)
+}
+
+/// Bytes of [`tail_bytes`] a face that is asked for, and a face where the heap does more than edges.
+const TAIL_BYTES: u64 = 96;
+const SERIAL_BYTES: u64 = 250;
+
+/// Faces above the target that are left to a heap that does more than edges.
+fn serial_faces(target: usize) -> usize {
+    SERIAL_FACES.max(target.saturating_mul(LAST_FACTOR - 1))
+}
+
+/// Collapses `mesh` to at most `options.target` faces. Without quadrics that are carried, vertices learn those of their
+/// faces. Ends above the target only where `options.max_error` forbids the rest.
 pub fn collapse<S: Coordinate>(
     mut mesh: IndexedMesh<S>,
-    mut learnt: Option<Vec<PackedQuadric>>,
+    carried: Option<Carried>,
     options: &Options,
     progress: &Progress,
 ) -> Result<Collapsed<S>> {
+    let Carried { quadrics, homes } = carried.unwrap_or_default();
+    let mut learnt = Some(quadrics).filter(|quadrics| !quadrics.is_empty());
     let least = options.policies.min_component;
     let dropped = least.map_or(Dropped::default(), |least| pieces::drop_small(&mut mesh, &mut learnt, least));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
     let (mut surface, irregularities) = prepare(mesh, learnt, options);
     let mut error_sq = largest_error_sq(&surface.learnt);
-    let mut rounds = Rounds::new(options);
+    let mut rounds = Rounds::new(options, homes);
     while let Some(round_error_sq) = rounds.turn(&mut surface, progress)? {
         error_sq = error_sq.max(round_error_sq);
     }
     let count = rounds.count;
-    let mut reference = rounds.reference.take();
-    drop(rounds);
-    if options.keep_reference && reference.is_none() {
-        reference = Some(surface.reference());
+    let mut followed = rounds.followed;
+    if options.keep_reference && followed.reference.is_none() {
+        followed.reference = Some(surface.reference());
     }
     let mut folded = false;
     if surface.faces.len() > options.target && options.max_error == f64::INFINITY {
         if options.policies.quadrics == Quadrics::Current {
             surface.renew_current(options);
         }
-        let end = tail::finish(&mut surface, options, reference.as_mut(), progress)?;
+        let end = tail::finish(&mut surface, options, &mut followed, progress)?;
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
     }
@@ -208,7 +238,8 @@ pub fn collapse<S: Coordinate>(
     };
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
     let error_estimate = error_sq.sqrt();
-    Ok(Collapsed { mesh, error_estimate, irregularities, reference, rounds: count, folded, dropped, locked })
+    let Followed { reference, homes } = followed;
+    Ok(Collapsed { mesh, error_estimate, irregularities, reference, homes, rounds: count, folded, dropped, locked })
 }
 
 /// Lays out the arrays, classifies, and learns the faces' quadrics where none are carried.
@@ -245,13 +276,26 @@ fn largest_error_sq(learnt: &[PackedQuadric]) -> f64 {
     learnt.par_iter().with_min_len(4096).map(error_sq).reduce(|| 0.0, f64::max)
 }
 
+/// What is to be found again in the result.
+struct Followed<S> {
+    reference: Option<Reference<S>>,
+    homes: Vec<u32>,
+}
+
+impl<S> Followed<S> {
+    /// The lists of vertices, to be kept up to date.
+    fn lists(&mut self) -> impl Iterator<Item = &mut Vec<u32>> {
+        self.reference.iter_mut().map(|reference| &mut reference.homes).chain([&mut self.homes])
+    }
+}
+
 /// The rounds of batches, and what they keep from one to the next.
 struct Rounds<'a, S> {
     options: &'a Options<'a>,
     batch: Batch<S>,
     /// Faces at which the rounds end.
     floor: usize,
-    reference: Option<Reference<S>>,
+    followed: Followed<S>,
     count: u32,
     /// Groups have nothing left to take.
     paired: bool,
@@ -259,14 +303,15 @@ struct Rounds<'a, S> {
 }
 
 impl<'a, S: Coordinate> Rounds<'a, S> {
-    fn new(options: &'a Options<'a>) -> Self {
+    fn new(options: &'a Options<'a>, homes: Vec<u32>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
         let tail = match options.policies.ends_serially() {
             false => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
-            true => SERIAL_FACES.max(options.target.saturating_mul(LAST_FACTOR - 1)),
+            true => serial_faces(options.target),
         };
         let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
-        Rounds { options, batch: Batch::new(), floor, reference: None, count: 0, paired: bounded, stalled: false }
+        let followed = Followed { reference: None, homes };
+        Rounds { options, batch: Batch::new(), floor, followed, count: 0, paired: bounded, stalled: false }
     }
 
     /// One round: the largest squared error among its merged vertices, or `None` when there is nothing more for rounds.
@@ -280,8 +325,8 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         let last = self.paired || within(LAST_FACTOR);
         let near = last || self.options.policies.by_pairs() || self.options.locks();
         let most = (before - self.floor).div_ceil(2);
-        if self.options.keep_reference && self.reference.is_none() && (last || within(REFERENCE_FACTOR)) {
-            self.reference = Some(surface.reference());
+        if self.options.keep_reference && self.followed.reference.is_none() && (last || within(REFERENCE_FACTOR)) {
+            self.followed.reference = Some(surface.reference());
         }
         if near {
             if self.options.policies.quadrics == Quadrics::Current {
@@ -299,7 +344,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         if leaders.is_empty() && near {
             return Ok(None);
         }
-        let error_sq = commit::commit(surface, &mut self.batch, &leaders, self.reference.as_mut());
+        let error_sq = commit::commit(surface, &mut self.batch, &leaders, &mut self.followed);
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();

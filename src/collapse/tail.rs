@@ -1,12 +1,12 @@
 //! The last collapses, one at a time from a heap, so that the count is exact and the order is the thesis's.
 
-use super::Options;
 use super::batch::{NONE, order};
 use super::join::Joins;
 use super::policy::Primitive;
 use super::surface::{Around, KEPT, REFUSED, Surface};
+use super::{Followed, Options};
 use crate::mesh::adjacency::{Stars, parts};
-use crate::mesh::{Coordinate, Reference, widen};
+use crate::mesh::{Coordinate, widen};
 use crate::{Result, progress::Progress};
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
@@ -55,7 +55,7 @@ enum Need {
 pub(super) fn finish<S: Coordinate>(
     surface: &mut Surface<S>,
     options: &Options,
-    reference: Option<&mut Reference<S>>,
+    followed: &mut Followed<S>,
     progress: &Progress,
 ) -> Result<End> {
     let joins = options.policies.pair_distance.map_or(Joins::default(), |distance| Joins::find(surface, distance));
@@ -84,8 +84,8 @@ pub(super) fn finish<S: Coordinate>(
     let error_sq = tail.error_sq;
     let mut becomes = std::mem::take(&mut tail.becomes);
     let numbers = compact(surface);
-    if let Some(reference) = reference {
-        for home in reference.homes.iter_mut().filter(|home| **home != NONE) {
+    for homes in followed.lists() {
+        for home in homes.iter_mut().filter(|home| **home != NONE) {
             while becomes[*home as usize] != *home {
                 let next = becomes[*home as usize];
                 becomes[*home as usize] = becomes[next as usize];

@@ -250,7 +250,9 @@ fn carried_quadrics_are_used() {
     let scan = sphere(24, 0.0);
     let plain = reduce(&scan, 400);
     let heavy = vec![PackedQuadric { c: 1e-2, w: 1.0, ..Default::default() }; scan.positions.len()];
-    let carried = collapse(scan, Some(heavy), &options(400), &Progress::default()).unwrap();
+    let carried =
+        collapse(scan, Some(Carried { quadrics: heavy, homes: Vec::new() }), &options(400), &Progress::default())
+            .unwrap();
     assert!(carried.error_estimate >= 0.1 && plain.error_estimate < 0.1);
 }
 

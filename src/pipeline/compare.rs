@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::job::Comparison;
 use crate::measure::{Deviation, MOST_VERTICES, Measured, Needs, Options, Pair, Scale, measure};
 use crate::mesh::Coordinate;
-use crate::plan::{Purse, most_threads, streaming_budget};
+use crate::plan::{Ask, Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scalar, Scan};
 use crate::report::{ComparisonReport, ComparisonTimeline, HeatmapFile, MeshFile, Warning, peak_rss_bytes};
@@ -25,7 +25,7 @@ pub fn compare(comparison: &Comparison, progress: &Progress) -> Result<Compariso
         let a = Scan::open(&comparison.a, progress)?;
         let b = Scan::open(&comparison.b, progress)?;
         let pair = Pair { a: &a, b: &b };
-        let purse = Purse::new(comparison.memory.0, threads, None, false);
+        let purse = Purse::new(comparison.memory.0, threads, Ask::default());
         let run = Run { comparison, threads, progress, pair, purse, begun };
         match pair.held().scalar() {
             Scalar::F32 => run.through::<f32>(out),

@@ -37,7 +37,7 @@ pub fn forecast(job: &Job, progress: &Progress) -> Result<Forecast> {
 fn through<S: Coordinate>(job: &Job, scan: &Scan) -> Result<Forecast> {
     let faces = scan.triangle_count();
     let asked = job.target.faces(faces);
-    let purse = Purse::new(job.memory.0, job.threads, asked, job.refit_rounds > 0);
+    let purse = Purse::new(job.memory.0, job.threads, super::ask(job, asked));
     let mode = match purse.in_core::<S>(scan) {
         Some(_) => Mode::InCore,
         None => purse.out_of_core::<S>(scan, asked).map(|_| Mode::OutOfCore)?,
@@ -54,7 +54,7 @@ fn through<S: Coordinate>(job: &Job, scan: &Scan) -> Result<Forecast> {
             13 + position / 2
         });
     let spilled = match (scan.layout(), mode) {
-        (Layout::Indexed, Mode::OutOfCore) => scan.vertex_count().saturating_mul(8),
+        (Layout::Indexed, Mode::OutOfCore) => scan.vertex_count().saturating_mul(15),
         _ => 0,
     };
     let measured = if job.verify && scan.layout() == Layout::Indexed && mode == Mode::OutOfCore { position } else { 0 };

@@ -9,7 +9,7 @@ use crate::collapse::{Collapsed, collapse};
 use crate::error::Result;
 use crate::job::Level;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, Reference};
-use crate::refit::refit;
+use crate::refit::{Aim, refit};
 use crate::report::{LevelReport, Timeline, Warning};
 use crate::write;
 use glam::DVec3;
@@ -66,7 +66,7 @@ impl Run<'_> {
         let asked = level.target.faces(self.scan.triangle_count());
         let (faces, vertices) = (mesh.faces.len(), mesh.positions.len());
         let refits = self.job.refit_rounds > 0;
-        let mut options = self.collapse_options(asked, faces, frame, points);
+        let mut options = self.collapse_options(asked, faces, frame, points, false);
         options.keep_reference = refits && (options.keep_reference || !references.is_empty());
         // Pieces that are too small have gone.
         options.policies.min_component = None;
@@ -85,7 +85,8 @@ impl Run<'_> {
         }
         let enough = |reference: &&Reference<S>| reference.mesh.faces.len() >= FINE_ENOUGH * mesh.faces.len();
         if let Some(reference) = references.iter().rev().find(enough).or(references.first()) {
-            refit(&mut mesh, reference, self.job.refit_rounds, &locked, self.progress)?;
+            let aim = Aim { reference: Some(reference), samples: None };
+            refit(&mut mesh, &aim, self.job.refit_rounds, &locked, self.progress)?;
         }
         seconds.refit += clock.lap();
         Ok(Chain { mesh, frame, references, error: error + error_estimate, locked: points })

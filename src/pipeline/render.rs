@@ -4,7 +4,7 @@ use super::{on_threads, read_crew};
 use crate::error::{Error, Result};
 use crate::job::Rendering;
 use crate::picture::{Camera, FINE, Picture, Plate, draw_scan};
-use crate::plan::{Purse, most_threads, streaming_budget};
+use crate::plan::{Ask, Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::Scan;
 use crate::report::{MeshFile, RenderReport, peak_rss_bytes};
@@ -51,7 +51,7 @@ struct Studio<'a> {
 
 impl<'a> Studio<'a> {
     fn new(rendering: &'a Rendering, threads: usize, progress: &'a Progress) -> Self {
-        Studio { rendering, purse: Purse::new(rendering.memory.0, threads, None, false), progress }
+        Studio { rendering, purse: Purse::new(rendering.memory.0, threads, Ask::default()), progress }
     }
 
     /// A column a mesh, a row a camera.

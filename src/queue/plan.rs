@@ -327,12 +327,13 @@ impl Tasks<'_> {
         let tasks: Result<Vec<_>> =
             found.into_iter().map(|(path, (scan, table))| self.task(path, &scan, table)).collect();
         let tasks = tasks?;
-        // A pattern that finds scans also finds results that lie beside them.
-        let searched = |task: &(Task, bool)| task.1;
-        let results: std::collections::BTreeSet<PathBuf> =
-            tasks.iter().flat_map(|(task, _)| task.outputs.iter().cloned()).collect();
-        let kept = tasks.into_iter().filter(|task| !searched(task) || !results.contains(&task.0.scan));
-        Ok(kept.map(|(task, _)| task).collect())
+        // A pattern that finds scans also finds results of others that lie beside them.
+        let makers: BTreeMap<PathBuf, PathBuf> = tasks
+            .iter()
+            .flat_map(|(task, _)| task.outputs.iter().map(|output| (output.clone(), task.scan.clone())))
+            .collect();
+        let is_result = |task: &Task| makers.get(&task.scan).is_some_and(|maker| *maker != task.scan);
+        Ok(tasks.into_iter().filter(|(task, searched)| !(*searched && is_result(task))).map(|(task, _)| task).collect())
     }
 
     fn task(&self, path: PathBuf, found: &Found, table: ScanTable) -> Result<(Task, bool)> {

@@ -2,9 +2,9 @@
 
 use super::NONE;
 use super::ground::{Ground, nearest_to_origin};
-use super::samples::Samples;
+use super::samples::{Evidence, Samples};
 use crate::mesh::adjacency::{after, before, parts};
-use crate::mesh::{Coordinate, Reference, step};
+use crate::mesh::{Coordinate, step};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -27,7 +27,7 @@ struct Flip {
 /// Flips the edges that pay, best first, no two at one vertex. Returns how many.
 pub(super) fn flip<S: Coordinate>(
     ground: Ground<S>,
-    reference: &Reference<S>,
+    evidence: &impl Evidence<S>,
     samples: &Samples,
     fixed: &[bool],
 ) -> Vec<(u32, [u32; 3])> {
@@ -35,7 +35,7 @@ pub(super) fn flip<S: Coordinate>(
     let mut flips: Vec<Flip> = (0..faces as u32)
         .into_par_iter()
         .with_min_len(256)
-        .flat_map_iter(|f| (0..3).filter_map(move |side| candidate(ground, reference, samples, f, side)))
+        .flat_map_iter(|f| (0..3).filter_map(move |side| candidate(ground, evidence, samples, f, side)))
         .collect();
     flips.sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then(a.faces.cmp(&b.faces)));
     let mut taken = vec![false; fixed.len()];
@@ -54,7 +54,7 @@ pub(super) fn flip<S: Coordinate>(
 /// The flip of the edge that leaves `side` of face `f`, if it pays.
 fn candidate<S: Coordinate>(
     ground: Ground<S>,
-    reference: &Reference<S>,
+    evidence: &impl Evidence<S>,
     samples: &Samples,
     f: u32,
     side: usize,
@@ -78,7 +78,7 @@ fn candidate<S: Coordinate>(
     }
     let (mut before_sq, mut after_sq) = (0.0, 0.0);
     for &k in samples.of(f as usize).iter().chain(samples.of(g as usize)) {
-        let point = Samples::point(reference, k);
+        let point = evidence.point(k);
         let weight = point.normal.length();
         let distance_sq = |t: [u32; 3]| {
             let corners = t.map(|w| step(point.at, at(w)));

@@ -1,8 +1,8 @@
-//! Samples of the reference, and the faces that they are nearest to.
+//! Samples of what the result stands for, and the faces that they are nearest to.
 
 use super::NONE;
-use super::ground::Ground;
-use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
+use super::ground::{Ground, Place};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, step, widen};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -11,6 +11,97 @@ use rayon::prelude::*;
 pub(super) const POINTS: [[f32; 3]; 3] = [[A, B, B], [B, A, B], [B, B, A]];
 const A: f32 = 2.0 / 3.0;
 const B: f32 = 1.0 / 6.0;
+
+/// What the result is fitted to: points of the surface.
+pub(super) trait Evidence<S>: Sync {
+    /// How many there are.
+    fn count(&self) -> usize;
+    /// A point.
+    fn point(&self, k: u32) -> Point<S>;
+    /// The vertex of the result that a point was near to before anything moved.
+    fn near(&self, k: u32) -> Option<u32>;
+    /// Whether a point lies near the one before it.
+    fn follows(&self, k: u32) -> bool;
+    /// The place on the finer mesh that is nearest to a point of the result, one of whose faces has point `k`.
+    fn back(&self, fine: Ground<S>, at: [S; 3], normal: Vec3, k: u32) -> Option<Place>;
+}
+
+impl<S: Coordinate> Evidence<S> for Reference<S> {
+    fn count(&self) -> usize {
+        3 * self.mesh.faces.len()
+    }
+
+    #[inline(always)]
+    fn point(&self, k: u32) -> Point<S> {
+        Point::on(&self.mesh, k as usize / 3, POINTS[k as usize % 3])
+    }
+
+    fn near(&self, k: u32) -> Option<u32> {
+        let homes = self.mesh.faces[k as usize / 3].map(|v| self.homes[v as usize]);
+        (k..k + 3).map(|i| homes[i as usize % 3]).find(|&home| home != NONE)
+    }
+
+    /// Three points are so far apart that starting anew finds the nearest place more often.
+    fn follows(&self, _: u32) -> bool {
+        false
+    }
+
+    fn back(&self, fine: Ground<S>, at: [S; 3], normal: Vec3, k: u32) -> Option<Place> {
+        fine.near_face(at, normal, k / 3)
+    }
+}
+
+/// Points of the scan itself.
+pub(super) struct Scanned<'a> {
+    samples: &'a SurfaceSamples,
+    /// For each vertex of the result one of the finer mesh that has become it, where there is a finer mesh.
+    origins: Vec<u32>,
+}
+
+impl<'a> Scanned<'a> {
+    /// Samples of a scan that a mesh of so many vertices was reduced from, by way of `reference`.
+    pub fn new<S>(samples: &'a SurfaceSamples, vertices: usize, reference: Option<&Reference<S>>) -> Self {
+        let mut origins = Vec::new();
+        if let Some(reference) = reference {
+            origins.resize(vertices, NONE);
+            for (v, &home) in reference.homes.iter().enumerate().filter(|(_, home)| **home != NONE) {
+                origins[home as usize] = v as u32;
+            }
+        }
+        Scanned { samples, origins }
+    }
+}
+
+impl<S: Coordinate> Evidence<S> for Scanned<'_> {
+    fn count(&self) -> usize {
+        self.samples.samples.len()
+    }
+
+    #[inline(always)]
+    fn point(&self, k: u32) -> Point<S> {
+        let sample = &self.samples.samples[k as usize];
+        // As long as three points a face would make it.
+        let length = SIXFOLD * self.samples.area;
+        Point { at: self.samples.lattice.position(sample), normal: sample.normal() * length as f32 }
+    }
+
+    fn near(&self, k: u32) -> Option<u32> {
+        Some(self.samples.samples[k as usize].near)
+    }
+
+    fn follows(&self, k: u32) -> bool {
+        let samples = &self.samples.samples;
+        k > 0 && samples[k as usize - 1].near == samples[k as usize].near
+    }
+
+    fn back(&self, fine: Ground<S>, at: [S; 3], normal: Vec3, k: u32) -> Option<Place> {
+        let origin = *self.origins.get(self.samples.samples[k as usize].near as usize)?;
+        (origin != NONE).then(|| fine.near_vertex(at, normal, origin)).flatten()
+    }
+}
+
+/// A face's three points are each as heavy as twice its area.
+const SIXFOLD: f64 = 6.0;
 
 /// A point on a face, and what it stands for.
 pub(super) struct Point<S> {
@@ -29,10 +120,13 @@ impl<S: Coordinate> Point<S> {
     }
 }
 
+/// Samples that are looked up one after the other.
+const RUN: usize = 24;
+
 /// For every sample the face that it is nearest to, and for every face its samples. 8 bytes a sample, 4 a face.
 #[derive(Default)]
 pub(super) struct Samples {
-    /// By sample, which is three times the face of the reference and which of its points; [`NONE`] where all around looks the
+    /// By sample; [`NONE`] where all around looks the
     /// other way or has vanished.
     faces: Vec<u32>,
     /// `order[first[f]..first[f + 1]]` are the samples of face `f`.
@@ -41,26 +135,33 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// A sample's place on the reference.
-    #[inline(always)]
-    pub fn point<S: Coordinate>(reference: &Reference<S>, sample: u32) -> Point<S> {
-        Point::on(&reference.mesh, sample as usize / 3, POINTS[sample as usize % 3])
-    }
-
-    /// Looks up every sample's nearest face: from where its vertex has gone at first, then from the face it had.
-    pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, reference: &Reference<S>) {
+    /// Looks up every sample's nearest face: at first from the face of the one before it or from where its vertex has gone,
+    /// then from the face it had.
+    pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, evidence: &impl Evidence<S>) {
         let at_first = self.faces.is_empty();
-        self.faces.resize(3 * reference.mesh.faces.len(), NONE);
-        self.faces.par_iter_mut().enumerate().with_min_len(1024).for_each(|(k, face)| {
-            let point = Samples::point(reference, k as u32);
-            let place = if at_first {
-                let homes = reference.mesh.faces[k / 3].map(|v| reference.homes[v as usize]);
-                let home = [homes[k % 3], homes[(k + 1) % 3], homes[(k + 2) % 3]].into_iter().find(|&h| h != NONE);
-                home.and_then(|v| ground.near_vertex(point.at, point.normal, v))
-            } else {
-                (*face != NONE).then(|| ground.near_face(point.at, point.normal, *face)).flatten()
-            };
-            *face = place.map_or(NONE, |place| place.face);
+        self.faces.resize(evidence.count(), NONE);
+        self.faces.par_chunks_mut(RUN).enumerate().with_min_len(64).for_each(|(run, faces)| {
+            let mut before = NONE;
+            for (i, face) in faces.iter_mut().enumerate() {
+                let k = (run * RUN + i) as u32;
+                let point = evidence.point(k);
+                let from = if !at_first {
+                    *face
+                } else if i > 0 && evidence.follows(k) {
+                    before
+                } else {
+                    NONE
+                };
+                let place = if from != NONE {
+                    ground.near_face(point.at, point.normal, from)
+                } else if at_first {
+                    evidence.near(k).and_then(|v| ground.near_vertex(point.at, point.normal, v))
+                } else {
+                    None
+                };
+                *face = place.map_or(NONE, |place| place.face);
+                before = *face;
+            }
         });
         self.sort(ground.mesh.faces.len());
     }

@@ -59,7 +59,8 @@ fn deviation(a: &IndexedMesh<f32>, b: &IndexedMesh<f32>) -> f64 {
 
 fn refitted(coarse: &IndexedMesh<f32>, reference: &Reference<f32>, rounds: u32) -> IndexedMesh<f32> {
     let mut mesh = coarse.clone();
-    refit(&mut mesh, reference, rounds, &[], &Progress::default()).unwrap();
+    let aim = Aim { reference: Some(reference), samples: None };
+    refit(&mut mesh, &aim, rounds, &[], &Progress::default()).unwrap();
     mesh
 }
 
@@ -89,7 +90,7 @@ fn a_walk_finds_what_a_search_finds() {
     let mut seen = 0;
     for f in 0..coarse.faces.len() {
         for &k in samples.of(f) {
-            let point = Samples::point(&reference, k);
+            let point = reference.point(k);
             assert!(distance_sq(&coarse, f, point.at) <= brute(&coarse, point.at) + 1e-9, "sample {k}");
             seen += 1;
         }
@@ -146,7 +147,8 @@ fn a_plane_and_a_mesh_that_is_hardly_reduced_stay_as_they_are() {
     }
     let (_, reference) = pair(hills);
     let mut same = reference.mesh.clone();
-    refit(&mut same, &reference, 2, &[], &Progress::default()).unwrap();
+    let aim = Aim { reference: Some(&reference), samples: None };
+    refit(&mut same, &aim, 2, &[], &Progress::default()).unwrap();
     assert_eq!(same, reference.mesh);
 }
 

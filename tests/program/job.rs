@@ -68,7 +68,10 @@ fn every_night_in_configs_runs() {
         fs::copy(&path, &job).unwrap();
         let output = program().arg("run").arg(&job).arg("--json").output().unwrap();
         let words = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(0), "{}: {words}", path.display());
+        // An estimate may be exceeded: then the row and the exit code say so.
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
+        let unmet = path.ends_with("max-error-mm.toml") && report["totals"]["unmet"] == 1;
+        assert_eq!(output.status.code(), Some(i32::from(unmet)), "{}: {words}", path.display());
         ran += 1;
     }
     assert_eq!(ran, 6);

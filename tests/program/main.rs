@@ -12,6 +12,7 @@ mod models;
 mod night;
 mod oddities;
 mod precision;
+mod render;
 mod support;
 
 /// A budget in which scans of 100,000 faces and more go out of core.

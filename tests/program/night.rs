@@ -152,8 +152,8 @@ fn a_night_that_is_killed_is_resumed_to_the_same_bytes() {
 
     let folder = archive();
     for kills in 0..6u64 {
-        let mut child = start(&folder);
         let begun = ledger(&folder, "began").len();
+        let mut child = start(&folder);
         until("the night begins", || ledger(&folder, "began").len() > begun);
         std::thread::sleep(Duration::from_millis(37 * kills));
         child.kill().unwrap();
@@ -241,7 +241,8 @@ fn what_cannot_work_is_refused_before_anything_starts() {
     };
     refused(&JOB.replace("{stem}.{faces}", "same"), "is that of");
     refused(&JOB.replace("{stem}", "{steem}"), "did you mean `{stem}`?");
-    refused(&JOB.replace("'out/{dir}/{stem}.{faces}.ply'", "'scans/{dir}/{stem}.ply'"), "would overwrite");
+    let into_scans = "output = 'scans/{dir}/{stem}.ply'\nfaces = 100";
+    refused(&format!("[[scan]]\ninput = 'scans/**/*.{{ply,stl}}'\n{into_scans}"), "would overwrite");
     refused(&JOB.replace("out/{dir}", "scans/torus.ply/{dir}"), "cannot write");
     refused(&JOB.replace("scans/**", "nowhere/**"), "does not exist");
     refused(&JOB.replace("*.{ply,stl}", "*.obj"), "no scan is found");

@@ -1,0 +1,228 @@
+//! Points of a scan's surface, on scratch while the scan is reduced, in memory when the result is fitted to them.
+//!
+//! They are spread evenly over the surface's area, so that each stands for as much of it as any other. A scan may have more
+//! surface than was thought before it was read; thinning by [`SurfaceSample::level`], a hash of what the sample is, then
+//! leaves the same ones whatever the order in which they came.
+
+use super::Coordinate;
+use crate::error::Result;
+use crate::scratch::ScratchFile;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Levels that samples are told apart by.
+pub const LEVELS: usize = 32;
+
+/// Records that are read at a time.
+const AT_ONCE: usize = 1 << 15;
+
+/// The vertex of a sample that is nowhere near one.
+const NONE: u32 = u32::MAX;
+
+/// A point of the surface. 16 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct SurfaceSample {
+    /// The cell that it is near to, later the vertex.
+    pub near: u32,
+    /// Three times 21 bits of place on the lattice, the upper and the lower half.
+    at: [u32; 2],
+    /// The normal's direction, folded onto an octahedron.
+    normal: [i16; 2],
+}
+
+/// Bytes of a sample.
+pub const SAMPLE_BYTES: usize = size_of::<SurfaceSample>();
+
+impl SurfaceSample {
+    /// On a face with unit normal `normal`; `None` where `position` is outside the lattice.
+    pub fn new(lattice: &Lattice, position: DVec3, normal: Vec3, near: u32) -> Option<Self> {
+        Some(SurfaceSample { near, at: lattice.steps(position)?, normal: fold(normal) })
+    }
+
+    /// How many halvings of the samples' number it outlasts.
+    #[inline]
+    pub fn level(&self) -> u32 {
+        let mut hash = self.place().wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        hash = (hash ^ hash >> 29).wrapping_mul(0xd6e8_feb8_6659_fd93);
+        (hash ^ hash >> 32).trailing_zeros().min(LEVELS as u32 - 1)
+    }
+
+    fn place(&self) -> u64 {
+        u64::from(self.at[0]) << 32 | u64::from(self.at[1])
+    }
+
+    /// All that it is.
+    #[inline]
+    fn key(&self) -> u128 {
+        let [x, y] = self.normal.map(|x| x as u16);
+        u128::from(self.near) << 96 | u128::from(self.place()) << 32 | u128::from(x) << 16 | u128::from(y)
+    }
+
+    /// The unit normal of its face.
+    #[inline]
+    pub fn normal(&self) -> Vec3 {
+        unfold(self.normal)
+    }
+}
+
+/// Bits of a place on the lattice, an axis.
+const BITS: u32 = 21;
+
+/// Where samples can lie: 2²¹ steps along the longest side. Where a thousand faces follow one another, that is an error of
+/// 1/5,000 of a face, and it has no bias.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lattice {
+    origin: DVec3,
+    step: f64,
+    per_step: f64,
+}
+
+impl Lattice {
+    /// Over a box in the frame.
+    pub fn over(min: DVec3, max: DVec3) -> Self {
+        let longest = (max - min).max_element().max(f64::MIN_POSITIVE);
+        let step = longest * (1.0 + 1e-6) / f64::from(1 << BITS);
+        Lattice { origin: min, step, per_step: 1.0 / step }
+    }
+
+    fn steps(&self, p: DVec3) -> Option<[u32; 2]> {
+        let steps = (p - self.origin) * self.per_step;
+        let inside = steps.cmpge(DVec3::ZERO).all() && steps.cmplt(DVec3::splat(f64::from(1 << BITS))).all();
+        let place = || steps.to_array().iter().fold(0, |place, x| place << BITS | *x as u64);
+        inside.then(|| [(place() >> 32) as u32, place() as u32])
+    }
+
+    /// A sample's position in the frame.
+    #[inline]
+    pub fn position<S: Coordinate>(&self, sample: &SurfaceSample) -> [S; 3] {
+        let place = sample.place();
+        let steps = [place >> (2 * BITS), place >> BITS, place].map(|x| (x & ((1 << BITS) - 1)) as f64 + 0.5);
+        let p = self.origin + DVec3::from(steps) * self.step;
+        p.to_array().map(S::narrow)
+    }
+}
+
+/// Samples on scratch.
+#[derive(Debug)]
+pub struct SampleFile {
+    /// The records, in whatever order they came.
+    pub file: ScratchFile,
+    /// How many there are.
+    pub written: u64,
+    /// How many samples of each level were made. Those of the highest levels are all in the file.
+    pub levels: [u64; LEVELS],
+    /// Where they lie.
+    pub lattice: Lattice,
+    /// The area that one stands for where none are left out.
+    pub area: f64,
+}
+
+/// The level from which on there are at most `most` samples.
+pub fn level_for(levels: &[u64; LEVELS], most: u64) -> u32 {
+    let mut kept = 0u64;
+    for (level, count) in levels.iter().enumerate().rev() {
+        kept += count;
+        if kept > most {
+            return level as u32 + 1;
+        }
+    }
+    0
+}
+
+/// Samples in memory, in an order that follows from what they are.
+#[derive(Debug)]
+pub struct SurfaceSamples {
+    /// In order of the vertex that they are near to.
+    pub samples: Vec<SurfaceSample>,
+    /// Where they lie.
+    pub lattice: Lattice,
+    /// The area that each stands for.
+    pub area: f64,
+}
+
+impl SampleFile {
+    /// Reads at most `most` of them back. `vertices` has a vertex for each cell; samples near none are left out.
+    pub fn load(&self, most: usize, vertices: &[u32]) -> Result<SurfaceSamples> {
+        let level = level_for(&self.levels, most as u64);
+        let kept: u64 = self.levels.iter().skip(level as usize).sum();
+        let mut samples = Vec::with_capacity(kept as usize);
+        let mut records: Vec<SurfaceSample> = bytemuck::zeroed_vec(AT_ONCE);
+        for first in (0..self.written).step_by(AT_ONCE) {
+            let records = &mut records[..(self.written - first).min(AT_ONCE as u64) as usize];
+            self.file.read_exact_at(bytemuck::cast_slice_mut(records), first * SAMPLE_BYTES as u64)?;
+            for sample in records {
+                let near = vertices.get(sample.near as usize).copied().unwrap_or(NONE);
+                if near != NONE && sample.level() >= level {
+                    samples.push(SurfaceSample { near, ..*sample });
+                }
+            }
+        }
+        samples.par_sort_unstable_by_key(SurfaceSample::key);
+        Ok(SurfaceSamples { samples, lattice: self.lattice, area: self.area * f64::from(level).exp2() })
+    }
+}
+
+/// A direction as a point of the square that an octahedron unfolds to.
+fn fold(n: Vec3) -> [i16; 2] {
+    let n = n / (n.x.abs() + n.y.abs() + n.z.abs()).max(f32::MIN_POSITIVE);
+    let (x, y) =
+        if n.z >= 0.0 { (n.x, n.y) } else { ((1.0 - n.y.abs()).copysign(n.x), (1.0 - n.x.abs()).copysign(n.y)) };
+    [x, y].map(|t| (t * 32767.0).round() as i16)
+}
+
+#[inline]
+fn unfold(folded: [i16; 2]) -> Vec3 {
+    let [x, y] = folded.map(|t| f32::from(t) / 32767.0);
+    let z = 1.0 - x.abs() - y.abs();
+    let under = (-z).max(0.0);
+    Vec3::new(x - under.copysign(x), y - under.copysign(y), z).normalize_or_zero()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scratch::Scratch;
+
+    fn lattice() -> Lattice {
+        Lattice::over(DVec3::new(-1.0, 0.0, 5.0), DVec3::new(0.0, 0.5, 5.25))
+    }
+
+    fn sample(k: u32) -> SurfaceSample {
+        let t = f64::from(k) / 1000.0;
+        let at = DVec3::new(-t, 0.5 * t * t, 5.0 + 0.25 * t.sin());
+        SurfaceSample::new(&lattice(), at, Vec3::new(0.6, 0.0, -0.8), k % 7).unwrap()
+    }
+
+    #[test]
+    fn a_sample_keeps_its_place_and_its_normal() {
+        for n in [Vec3::X, Vec3::NEG_Z, Vec3::new(-0.48, 0.6, 0.64), Vec3::new(0.36, -0.48, -0.8), Vec3::NEG_Y] {
+            let p = DVec3::new(-0.123, 0.456, 5.2);
+            let sample = SurfaceSample::new(&lattice(), p, n, 3).unwrap();
+            let at = DVec3::from(lattice().position::<f64>(&sample));
+            assert!((at - p).length() < 5e-7 && sample.normal().distance(n) < 1e-4, "{n}: {at}, {}", sample.normal());
+        }
+        for outside in [[-1.1, 0.0, 5.0], [0.1, 0.0, 5.0], [f64::NAN, 0.0, 5.0]] {
+            assert!(SurfaceSample::new(&lattice(), outside.into(), Vec3::X, 0).is_none(), "{outside:?}");
+        }
+    }
+
+    #[test]
+    fn loading_thins_by_what_samples_are_and_sorts() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = Scratch::in_folder(folder.path()).file().unwrap();
+        let made: Vec<SurfaceSample> = (0..1000).rev().map(sample).collect();
+        let mut levels = [0; LEVELS];
+        made.iter().for_each(|s| levels[s.level() as usize] += 1);
+        file.write_all_at(bytemuck::cast_slice(&made), 0).unwrap();
+        let kept = SampleFile { file, written: 1000, levels, lattice: lattice(), area: 2.0 };
+        let homes = [9, 8, NONE, 6, 5, 4, 3];
+        let all = kept.load(1000, &homes).unwrap();
+        assert_eq!((all.samples.len(), all.area), (1000 - 143, 2.0));
+        assert!(all.samples.is_sorted_by_key(SurfaceSample::key) && all.samples.iter().all(|s| s.near != NONE));
+        let some = kept.load(600, &homes).unwrap();
+        assert!(some.area == 4.0 && (400..560).contains(&some.samples.len()), "{}", some.samples.len());
+        assert!(some.samples.iter().all(|s| all.samples.contains(s) && s.level() >= 1));
+        assert_eq!(kept.load(0, &homes).unwrap().samples.len(), 0);
+    }
+}
