@@ -57,6 +57,7 @@ fn reduced(files: &Files) -> Scan {
         output: output.clone(),
         format: Format::Ply,
         target: Target::Faces(files.faces / 100),
+        coarser: Vec::new(),
         memory: Size(512 * MIB),
         threads: 2,
         scratch: None,
@@ -67,6 +68,7 @@ fn reduced(files: &Files) -> Scan {
         carry: true,
         refit_rounds: 1,
         verify: false,
+        samples: 0,
     };
     reduce(&job, &Progress::default()).unwrap();
     open(&output)

@@ -26,6 +26,7 @@ impl Row<'_> {
             output: output.into(),
             format: meshmill::write::Format::Ply,
             target: Target::Faces(faces),
+            coarser: Vec::new(),
             memory: self.memory,
             threads,
             scratch: None,
@@ -36,6 +37,7 @@ impl Row<'_> {
             policies: Default::default(),
             lock_vertices: None,
             verify: false,
+            samples: 0,
         };
         reduce(&job, &Progress::default()).unwrap()
     }

@@ -7,8 +7,9 @@ use meshmill::budget::Size;
 use meshmill::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use meshmill::job::{
     CollapseTable, Compactness, ComparisonSaid, Count, Degrees, InspectionSaid, JobFile, Length, MinComponent, Pairs,
-    Ratio, RefitTable, ReportTable, Rounds, RunTable, ScanTable, Threads, Weight,
+    Ratio, RefitTable, RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
 };
+use meshmill::queue::Shard;
 use meshmill::write::{Format, is_stdout};
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
@@ -39,6 +40,13 @@ pub enum Command {
     Inspect(InspectArgs),
     /// Make a realistic scan of any size
     Synth(SynthArgs),
+    /// Take a picture of meshes, side by side, seen by the same camera
+    Render(RenderArgs),
+    /// Work on reports of nights
+    Report(ReportArgs),
+    /// Reduce what stdin says: how `run` works
+    #[command(hide = true)]
+    Worker(WorkerArgs),
 }
 
 /// `meshmill reduce`
@@ -90,6 +98,10 @@ pub struct ReduceArgs {
     /// measured distance is larger
     #[arg(long)]
     verify: bool,
+
+    /// Samples over the area of each that --verify draws at most, like 200k or 1M [default: 1M]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, requires = "verify")]
+    samples: Option<Count>,
 
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
@@ -190,9 +202,21 @@ pub struct RunArgs {
     #[arg(value_name = "JOB.toml")]
     pub job: PathBuf,
 
-    /// Print the job with every default filled in, and do nothing
+    /// Do nothing, but print what would be done: of one scan the job with every default filled in, of many the plan
     #[arg(long)]
     pub dry_run: bool,
+
+    /// Of many scans every N-th alone, beginning with the I-th, for an array of machines or processes
+    #[arg(long, value_name = "I/N")]
+    pub shard: Option<Shard>,
+
+    /// Of many scans those alone whose path contains this, though they are done
+    #[arg(long, value_name = "TEXT")]
+    pub only: Option<String>,
+
+    /// Of many scans begin those that can be done, though others cannot
+    #[arg(long)]
+    pub keep_going: bool,
 
     /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
@@ -317,6 +341,106 @@ impl CompareArgs {
     }
 }
 
+/// `meshmill render`
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Meshes: PLY or STL, binary or ASCII; the first decides where all are seen from
+    #[arg(value_name = "MESH", required = true)]
+    meshes: Vec<PathBuf>,
+
+    /// The picture to write: .png
+    #[arg(short, long, value_name = "OUT.png")]
+    output: PathBuf,
+
+    /// Pixels of each mesh's picture, across [default: 640]
+    #[arg(long, value_name = "PIXELS")]
+    width: Option<usize>,
+
+    /// Pixels of each mesh's picture, down [default: by the first mesh's shape]
+    #[arg(long, value_name = "PIXELS")]
+    height: Option<usize>,
+
+    /// A second row of pictures, closer by this factor
+    #[arg(long, value_name = "FACTOR", allow_negative_numbers = true)]
+    zoom: Option<f64>,
+
+    /// What is in the middle of the second row: X,Y,Z [default: where most is to be seen]
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true, requires = "zoom")]
+    at: Option<[f64; 3]>,
+
+    /// Draw the edges of triangles
+    #[arg(long)]
+    edges: bool,
+
+    /// Bound on the whole process's peak resident memory, like 512MiB or 2GiB [default: 512MiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    memory: Option<Size>,
+
+    /// Worker threads; the picture does not depend on them [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    threads: Option<Threads>,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `meshmill report`
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: ReportCommand,
+}
+
+/// What to do with reports.
+#[derive(Debug, Subcommand)]
+pub enum ReportCommand {
+    /// Join the reports of shards
+    Merge(MergeArgs),
+}
+
+/// `meshmill report merge`
+#[derive(Debug, Args)]
+pub struct MergeArgs {
+    /// Reports of shards: report.1-of-8.json and so on
+    #[arg(value_name = "REPORT.json", required = true)]
+    pub reports: Vec<PathBuf>,
+
+    /// The folder for report.html, report.json and report.csv [default: the first report's]
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+
+    /// One JSON object on stdout; words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `meshmill worker`
+#[derive(Debug, Args)]
+pub struct WorkerArgs {
+    /// The night's folder
+    pub folder: PathBuf,
+
+    /// Tells runs side by side apart
+    #[arg(long, default_value = "")]
+    pub shard_name: String,
+}
+
+/// Three coordinates.
+fn place(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|x| x.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    numbers.and_then(|xs| xs.try_into().ok()).ok_or_else(|| format!("`{text}` is not a place: write it like 1.5,0,-2"))
+}
+
+impl From<RenderArgs> for RenderingSaid {
+    fn from(args: RenderArgs) -> Self {
+        let RenderArgs { meshes, output, width, height, zoom, at, edges, memory, threads, json: _ } = args;
+        RenderingSaid { meshes, output, width, height, zoom, at, edges, memory, threads }
+    }
+}
+
 impl From<CompareArgs> for ComparisonSaid {
     fn from(args: CompareArgs) -> Self {
         let CompareArgs { a, b, samples, every_vertex, seed, memory, threads, scratch, .. } = args;
@@ -330,15 +454,16 @@ impl From<ReduceArgs> for JobFile {
         let TargetArgs { faces, ratio, max_error } = args.target;
         let carry = args.no_carry.then_some(false);
         JobFile {
-            scan: ScanTable {
-                input: args.input,
-                output: args.output,
+            scan: Scans::One(Box::new(ScanTable {
+                input: vec![args.input],
+                output: Some(args.output),
                 format: args.format,
                 carry,
-                faces,
-                ratio,
+                faces: faces.into_iter().collect(),
+                ratio: ratio.into_iter().collect(),
                 max_error,
-            },
+                ..Default::default()
+            })),
             run: RunTable {
                 memory: args.memory,
                 threads: args.threads,
@@ -347,7 +472,7 @@ impl From<ReduceArgs> for JobFile {
             },
             collapse: args.collapse.into(),
             refit: RefitTable { rounds: args.refit },
-            report: ReportTable { json: Some(args.json), verify: Some(args.verify) },
+            report: ReportTable { json: Some(args.json), verify: Some(args.verify), samples: args.samples },
             ..Default::default()
         }
     }

@@ -20,11 +20,12 @@
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
 //! | [`inspect`] | a scan | counts of what is in it and of what is wrong with it |
+//! | [`picture`] | a scan, a camera | what it looks like |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
-//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure` and `inspect` stream through
-//! `read`; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
+//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `carry`, `measure`, `inspect` and `picture`
+//! stream through `read`; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
 //! tables are sized from the scan and the budget; what threads share is summed in integers; every step of the collapse is a
@@ -53,10 +54,13 @@ pub mod inspect;
 pub mod job;
 pub mod measure;
 pub mod mesh;
+pub mod morning;
+pub mod picture;
 pub mod pipeline;
 pub mod plan;
 pub mod progress;
 pub mod quadric;
+pub mod queue;
 pub mod read;
 pub mod refit;
 pub mod report;

@@ -1,6 +1,7 @@
 //! The `meshmill` program: arguments in, exit code out. Nothing else prints.
 
 mod cli;
+mod night;
 mod terminal;
 
 use clap::Parser;
@@ -13,8 +14,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, CompareArgs, InspectArgs, RunArgs, SynthArgs};
-use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile};
+use cli::{Cli, Command, CompareArgs, InspectArgs, RenderArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile, RenderingSaid};
 use meshmill::progress::Progress;
 use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
 use meshmill::write::is_stdout;
@@ -28,6 +29,9 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Inspect(args) }) => inspect(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
+        Ok(Cli { command: Command::Render(args) }) => render(args),
+        Ok(Cli { command: Command::Report(args) }) => night::merge(args),
+        Ok(Cli { command: Command::Worker(args) }) => night::work(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
 }
@@ -40,23 +44,26 @@ struct Saying {
     unmet: Option<String>,
     /// Whether stdout has the result itself: words then go to stderr.
     stdout_is_taken: bool,
+    /// The exit code then.
+    code: u8,
 }
 
 impl Saying {
     fn new(object: String, lines: Vec<String>) -> Self {
-        Saying { object, lines, unmet: None, stdout_is_taken: false }
+        Saying { object, lines, unmet: None, stdout_is_taken: false, code: 1 }
     }
 }
 
 fn reduce(said: JobFile) -> ExitCode {
     let in_json = said.report.json == Some(true);
-    let stdout_is_taken = is_stdout(&said.scan.output);
+    let stdout_is_taken = said.scan.tables().iter().any(|table| table.output.as_deref().is_some_and(is_stdout));
     let outcome = said.resolve().and_then(|job| working(|progress| pipeline::reduce(&job, progress)));
     let saying = outcome.map(|report| Saying {
         object: json(&report),
         lines: report.lines(),
         unmet: report.unmet.as_ref().map(|unmet| unmet.message().into()),
         stdout_is_taken,
+        code: 1,
     });
     conclude(saying, in_json)
 }
@@ -66,6 +73,13 @@ fn run(args: RunArgs) -> ExitCode {
         Ok(mut said) => {
             let in_json = args.json || said.report.json == Some(true);
             said.report.json = Some(in_json);
+            if said.is_night() {
+                return night::run(said, &args, in_json);
+            }
+            if args.shard.is_some() || args.only.is_some() {
+                let what = "--shard and --only are for many scans, and this job file has one";
+                return conclude(Err(Error::Usage { what: what.into(), file: Some(args.job) }), in_json);
+            }
             if args.dry_run { conclude(dry_run(said), in_json) } else { reduce(said) }
         }
         Err(error) => conclude(Err(error), args.json),
@@ -90,6 +104,13 @@ fn inspect(args: InspectArgs) -> ExitCode {
     let inspection = InspectionSaid::from(args).resolve();
     let outcome = working(|progress| pipeline::inspect(&inspection, progress));
     conclude(outcome.map(|report| Saying::new(json(&report), report.lines())), in_json)
+}
+
+fn render(args: RenderArgs) -> ExitCode {
+    let in_json = args.json;
+    let outcome = RenderingSaid::from(args).resolve();
+    let outcome = outcome.and_then(|rendering| working(|progress| pipeline::render(&rendering, progress)));
+    conclude(outcome.map(|report| Saying::new(json(&report), vec![report.line()])), in_json)
 }
 
 /// The job in full, as a job file that can be run from anywhere.
@@ -127,14 +148,19 @@ fn make_scan(args: &SynthArgs) -> ExitCode {
 
 /// Works under a progress that is shown and that SIGINT and SIGTERM end.
 fn working<T>(work: impl FnOnce(&Progress) -> Result<T>) -> Result<T> {
+    let progress = Progress::cancelled_by(signals()?);
+    terminal::showing(&progress, || work(&progress))
+}
+
+/// The number of the signal that asked the program to end, once one has; 0 until then.
+fn signals() -> Result<Arc<AtomicUsize>> {
     use signal_hook::consts::{SIGINT, SIGTERM};
     let signal = Arc::new(AtomicUsize::new(0));
     for number in [SIGINT, SIGTERM] {
         signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
             .map_err(Error::io(Path::new("signals"), "cannot be handled"))?;
     }
-    let progress = Progress::cancelled_by(signal);
-    terminal::showing(&progress, || work(&progress))
+    Ok(signal)
 }
 
 /// Says how it went: with `--json` one object is all that stdout gets.
@@ -144,9 +170,9 @@ fn conclude(outcome: Result<Saying>, in_json: bool) -> ExitCode {
             tell_stderr(&lines.join("\n"));
             ExitCode::SUCCESS
         }
-        Ok(Saying { object, lines, unmet, .. }) => {
+        Ok(Saying { object, lines, unmet, code, .. }) => {
             let words = lines.join("\n");
-            let code = u8::from(unmet.is_some());
+            let code = if unmet.is_some() { code } else { 0 };
             if in_json {
                 tell_stderr(&words);
             }

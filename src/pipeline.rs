@@ -1,16 +1,23 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod forecast;
 mod inspect;
+mod levels;
+mod portrait;
+mod render;
 
 pub use compare::compare;
+pub use forecast::{Forecast, forecast};
 pub use inspect::inspect;
+pub use portrait::PortraitAsked;
+pub use render::render;
 
 use crate::carry::carry;
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
-use crate::job::{Job, Target, read_points};
+use crate::job::{Job, Level, Target, read_points};
 use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
@@ -21,27 +28,33 @@ use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline,
 use crate::scratch::Scratch;
 use crate::write;
 use glam::DVec3;
+use portrait::Portrait;
+use std::path::Path;
 use std::time::Instant;
 
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
+    reduce_and_portray(job, None, progress)
+}
+
+/// The same, and takes a picture of it where one is asked for.
+pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress: &Progress) -> Result<Report> {
     let threads = job.threads.min(most_threads(job.memory.0));
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare_as(&job.output, job.format, Some(&job.input))?;
+        let prepare = |level: &Level| write::Target::prepare_as(&level.output, level.format, Some(&job.input));
+        let coarser = job.coarser.iter().map(prepare).collect::<Result<Vec<_>>>()?;
         let scratch = job.scratch();
         let scan = Scan::open_in(&job.input, &scratch, progress)?;
         let asked = job.target.faces(scan.triangle_count());
-        let target = asked.unwrap_or(0);
-        let ask =
-            Ask { target, refit_rounds: job.refit_rounds, tail_bytes: collapse::tail_bytes(target, &job.policies) };
-        let purse = Purse::new(job.memory.0, threads, ask);
+        let purse = Purse::new(job.memory.0, threads, ask(job, asked));
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
-        let run = Run { job, threads, progress, scan: &scan, scratch, purse, begun, locked };
+        let run = Run { job, portrait, threads, progress, scan: &scan, scratch, purse, begun, locked };
         match scan.scalar() {
-            Scalar::F32 => run.through::<f32>(out),
-            Scalar::F64 => run.through::<f64>(out),
+            Scalar::F32 => run.through::<f32>(out, coarser),
+            Scalar::F64 => run.through::<f64>(out, coarser),
         }
     })
 }
@@ -55,9 +68,21 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) 
     pool.install(work)
 }
 
+/// What a job that asks for so many faces is to be paid.
+fn ask(job: &Job, asked: Option<u64>) -> Ask {
+    let target = asked.unwrap_or(0);
+    Ask { target, refit_rounds: job.refit_rounds, tail_bytes: collapse::tail_bytes(target, &job.policies) }
+}
+
+/// Who streams a scan within a budget.
+fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
+    Crew { workers: purse.workers, progress }
+}
+
 /// One reduction under way.
 struct Run<'a> {
     job: &'a Job,
+    portrait: Option<&'a PortraitAsked>,
     threads: usize,
     progress: &'a Progress,
     scan: &'a Scan,
@@ -84,10 +109,10 @@ enum Source {
 }
 
 impl Run<'_> {
-    fn through<S: Coordinate>(&self, out: write::Target) -> Result<Report> {
+    fn through<S: Coordinate>(&self, out: write::Target, coarser: Vec<write::Target>) -> Result<Report> {
         let asked = self.job.target.faces(self.scan.triangle_count());
         if let (true, Some(asked)) = (self.job.verify, asked) {
-            compare::check_verifiable::<S>(asked, self.scan, &self.purse)?;
+            compare::check_verifiable::<S>(asked, self)?;
         }
         let mut clock = Clock::new(self.begun);
         let mut seconds = Timeline::default();
@@ -112,7 +137,7 @@ impl Run<'_> {
         let samples = samples.map(|file| file.load(most, &homes)).transpose()?;
         let aim = Aim { reference: reference.as_ref(), samples: samples.as_ref() };
         refit(&mut mesh, &aim, self.job.refit_rounds, &locked, self.progress)?;
-        drop((reference, samples));
+        drop(samples);
         seconds.refit = clock.lap();
 
         let mut warnings = self.warnings(asked, &source, faces);
@@ -142,12 +167,21 @@ impl Run<'_> {
                 (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio))
             }
         };
-        drop(mesh);
+        let references = reference.filter(|_| !coarser.is_empty()).into_iter().collect();
+        let chain = levels::Chain { mesh, frame, references, error: error_estimate, locked: &points };
+        let mut coarser = self.coarser(chain, coarser, &mut clock, &mut seconds, &mut warnings)?;
+        let mut portrait = self.begin_portrait(&mut warnings)?;
+        seconds.render = clock.lap();
         let mut deviation = None;
         if self.job.verify {
-            deviation = Some(self.verify()?);
+            deviation = Some(self.verify(&self.job.output, portrait.as_mut())?);
+            for level in &mut coarser {
+                level.deviation = Some(self.verify(&level.output.path, None)?);
+            }
             seconds.measure = clock.lap();
         }
+        let portrait = portrait.map(|portrait| portrait.finish(self)).transpose()?;
+        seconds.render += clock.lap();
         seconds.total = self.begun.elapsed().as_secs_f64();
         let unmet = deviation.as_ref().and_then(|found| self.exceeded(found));
         Ok(Report {
@@ -157,6 +191,7 @@ impl Run<'_> {
                 vertices: self.scan.vertex_count(),
             },
             output,
+            coarser,
             mode,
             cells,
             ratio,
@@ -167,9 +202,25 @@ impl Run<'_> {
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
             deviation,
+            portrait,
             warnings,
             unmet,
         })
+    }
+
+    /// Takes pictures where they are asked for. One that cannot be taken is no reason to fail.
+    fn begin_portrait(&self, warnings: &mut Vec<Warning>) -> Result<Option<Portrait<'_>>> {
+        let Some(asked) = self.portrait else { return Ok(None) };
+        let coarser = self.job.coarser.iter().map(|level| level.output.as_path());
+        let results: Vec<_> = std::iter::once(self.job.output.as_path()).chain(coarser).collect();
+        match Portrait::begun(self, asked, &results) {
+            Ok(portrait) => Ok(Some(portrait)),
+            Err(error @ Error::Interrupted { .. }) => Err(error),
+            Err(error) => {
+                warnings.push(Warning::NoPicture { why: error.to_string() });
+                Ok(None)
+            }
+        }
     }
 
     /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
@@ -288,10 +339,9 @@ impl Run<'_> {
         carry(self.scan, wanted, mesh, frame, &crew)
     }
 
-    /// Measures the file that was written.
-    fn verify(&self) -> Result<DeviationFigures> {
-        let found = compare::verify(self.scan, &self.job.output, &self.purse, &self.scratch, self.progress)
-            .map_err(|error| self.unverified(error))?;
+    /// Measures a file that was written.
+    fn verify(&self, output: &Path, portrait: Option<&mut Portrait>) -> Result<DeviationFigures> {
+        let found = compare::verify(self, output, portrait).map_err(|error| self.unverified(error))?;
         Ok((&found).into())
     }
 
@@ -373,7 +423,7 @@ fn irregular(found: &collapse::Irregularities) -> impl Iterator<Item = Warning> 
     edges.into_iter().chain((vertices > 0).then_some(Warning::NonManifoldVertices { vertices }))
 }
 
-fn mesh_file(path: &std::path::Path, faces: usize, vertices: usize) -> MeshFile {
+fn mesh_file(path: &Path, faces: usize, vertices: usize) -> MeshFile {
     MeshFile { path: path.into(), faces: faces as u64, vertices: vertices as u64 }
 }
 

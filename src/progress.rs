@@ -24,12 +24,14 @@ pub enum Stage {
     Measure = 5,
     /// Carrying over what vertices carry.
     Carry = 6,
+    /// Taking pictures.
+    Render = 7,
 }
 
 impl Stage {
     /// The stage's word in reports and on the terminal.
     pub fn word(self) -> &'static str {
-        ["read", "cluster", "collapse", "refit", "write", "measure", "carry"][self as usize]
+        ["read", "cluster", "collapse", "refit", "write", "measure", "carry", "render"][self as usize]
     }
 }
 
@@ -69,7 +71,8 @@ impl Progress {
             3 => Stage::Refit,
             4 => Stage::Write,
             5 => Stage::Measure,
-            _ => Stage::Carry,
+            6 => Stage::Carry,
+            _ => Stage::Render,
         };
         (stage, self.done.load(Relaxed), self.total.load(Relaxed))
     }

@@ -28,6 +28,9 @@ pub struct Report {
     pub input: MeshFile,
     /// The result.
     pub output: MeshFile,
+    /// Further results, each coarser than the one before it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub coarser: Vec<LevelReport>,
     /// Whether the scan was clustered first.
     pub mode: Mode,
     /// Cells that clustering filled; `None` in core.
@@ -49,11 +52,39 @@ pub struct Report {
     pub error_estimate: Option<f64>,
     /// What was measured between scan and result; `None` where nobody asked for it.
     pub deviation: Option<DeviationFigures>,
+    /// The picture that was taken.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub portrait: Option<PortraitFile>,
     /// What the user should know.
     pub warnings: Vec<Warning>,
     /// Why the result, which is written, is not what was asked for.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub unmet: Option<Failure>,
+}
+
+/// One more result.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LevelReport {
+    /// The mesh.
+    pub output: MeshFile,
+    /// As a [`Report`]'s.
+    pub error_estimate: Option<f64>,
+    /// As a [`Report`]'s.
+    pub deviation: Option<DeviationFigures>,
+}
+
+/// A picture of a scan and what it became.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PortraitFile {
+    /// The JPEG.
+    #[serde(serialize_with = "lossy")]
+    pub path: PathBuf,
+    /// What is to be seen, from left to right; below each, the same closer.
+    pub views: Vec<&'static str>,
+    /// How much closer.
+    pub zoom: f64,
+    /// The deviation that has the last colour, in the scan's units.
+    pub deviation_top: Option<f64>,
 }
 
 /// A mesh file and its counts.
@@ -95,6 +126,8 @@ pub struct Timeline {
     pub write: f64,
     /// Measuring the result; 0 where nobody asked for it.
     pub measure: f64,
+    /// Taking pictures; 0 where nobody asked for them.
+    pub render: f64,
     /// From the first byte to the report.
     pub total: f64,
 }
@@ -179,6 +212,11 @@ pub enum Warning {
         /// Intermediate : target.
         ratio: f64,
     },
+    /// No picture could be taken.
+    NoPicture {
+        /// Why.
+        why: String,
+    },
 }
 
 impl Warning {
@@ -199,6 +237,7 @@ impl Warning {
             Warning::LowRatio { .. } => "low-ratio",
             Warning::SmallPieces { .. } => "small-pieces",
             Warning::NotCarried { .. } => "not-carried",
+            Warning::NoPicture { .. } => "no-picture",
         }
     }
 }
@@ -211,6 +250,7 @@ impl fmt::Display for Warning {
                 let more = if more > 0 { format!(" and {more} more") } else { String::new() };
                 write!(f, "not carried over to the result: {}{more}", shown.join(", "))
             }
+            Warning::NoPicture { ref why } => write!(f, "no picture was taken: {why}"),
             Warning::TrailingBytes { bytes } => write!(
                 f,
                 "{} after the last element ignored: if the scan looks cut short, its header counts too few",
@@ -320,6 +360,11 @@ impl Report {
         let peak = self.peak_rss_bytes.map_or("unknown".into(), |bytes| Size(bytes).to_string());
         let (budget, scratch) = (Size(self.memory_budget_bytes), Size(self.scratch_bytes));
         lines.push(format!("memory   {peak} at the peak, of {budget}; {scratch} of scratch on disk"));
+        for level in &self.coarser {
+            lines.push(format!("coarser  {}", level.output.line()));
+            let measured = level.deviation.iter().flat_map(|deviation| deviation.lines("scan", "result"));
+            lines.extend(measured.map(|line| format!("measured {line}")));
+        }
         lines.extend(self.warnings.iter().map(|w| format!("warning  {w}")));
         lines
     }
@@ -357,6 +402,34 @@ impl Synthesis {
     /// One plain line.
     pub fn line(&self) -> String {
         format!("{}, {}, {:.2} s", self.output.line(), count(self.bytes, "byte"), self.seconds)
+    }
+}
+
+/// What `render` made.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RenderReport {
+    /// The meshes, from left to right.
+    pub meshes: Vec<MeshFile>,
+    /// The picture that was written.
+    #[serde(serialize_with = "lossy")]
+    pub picture: PathBuf,
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// Size of the file.
+    pub bytes: u64,
+    /// The process's peak resident set.
+    pub peak_rss_bytes: Option<u64>,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+impl RenderReport {
+    /// One plain line.
+    pub fn line(&self) -> String {
+        let RenderReport { width, height, bytes, seconds, .. } = self;
+        format!("{}: {width} × {height} pixels, {}, {seconds:.2} s", self.picture.display(), count(*bytes, "byte"))
     }
 }
 
@@ -464,6 +537,7 @@ mod tests {
         Report {
             input: MeshFile { path: "scan.ply".into(), faces: 28_060_000, vertices: 14_030_002 },
             output: MeshFile { path: "small.ply".into(), faces: 140_000, vertices: 70_002 },
+            coarser: Vec::new(),
             mode: Mode::OutOfCore,
             cells: Some(812_345),
             ratio: Some(11.6),
@@ -479,10 +553,12 @@ mod tests {
                 carry: 0.0,
                 write: 0.05,
                 measure: 0.0,
+                render: 0.0,
                 total: 1.4,
             },
             error_estimate: Some(0.012_345),
             deviation: None,
+            portrait: None,
             warnings: vec![Warning::TrailingBytes { bytes: 1 }],
             unmet: None,
         }
@@ -496,7 +572,7 @@ mod tests {
         ) + r#""output":{"path":"small.ply","faces":140000,"vertices":70002},"mode":"out-of-core","cells":812345,"#
             + r#""ratio":11.6,"threads":2,"memory_budget_bytes":268435456,"peak_rss_bytes":210763776,"#
             + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.5,"refit":0.25,"carry":0.0,"write":0.05,"#
-            + r#""measure":0.0,"total":1.4},"error_estimate":0.012345,"deviation":null,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
+            + r#""measure":0.0,"render":0.0,"total":1.4},"error_estimate":0.012345,"deviation":null,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
             + r#"last element ignored: if the scan looks cut short, its header counts too few"}]}"#;
         assert_eq!(json(&report()), expected);
     }

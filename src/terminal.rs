@@ -8,6 +8,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use meshmill::progress::{Progress, Stage};
+use meshmill::queue::{Plan, Row, Running, Standing, Status};
 
 const BAR_PERIOD: Duration = Duration::from_millis(100);
 const LINE_PERIOD: Duration = Duration::from_secs(30);
@@ -85,6 +86,107 @@ fn line(stage: Stage, steps: u64, total: u64, in_stage: Duration, so_far: Durati
     format!("{word}: {:.0} %, about {left:.0} s left in this stage; {so_far} s so far", (100.0 * share).floor())
 }
 
+/// A night as it is shown: on a terminal a line for the night and one for each scan under way; without one a line of JSON
+/// for each scan that is finished and every 30 seconds.
+pub struct NightScreen<'a> {
+    plan: &'a Plan,
+    /// On a terminal.
+    bars: Option<ProgressBar>,
+    last_line: Instant,
+    shown: Instant,
+}
+
+impl<'a> NightScreen<'a> {
+    /// Nothing is shown yet.
+    pub fn new(plan: &'a Plan) -> Self {
+        let bars = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::with_draw_target(None, indicatif::ProgressDrawTarget::stderr());
+            if let Ok(style) = ProgressStyle::with_template("{msg}") {
+                bar.set_style(style);
+            }
+            bar
+        });
+        NightScreen { plan, bars, last_line: Instant::now(), shown: Instant::now() }
+    }
+
+    /// A scan is finished, or is tried again.
+    pub fn finished(&mut self, row: &Row, again: bool) {
+        let name = self.plan.name(&row.scan).display();
+        let why = row.error.as_ref().map_or("", |error| error.message.as_str());
+        if let Some(bars) = &self.bars {
+            match (again, row.status) {
+                (true, _) => bars.println(format!("again    {name}: {why}")),
+                (false, Status::Done) => bars.println(format!("done     {name}, {:.1} s", row.seconds)),
+                (false, status) => bars.println(format!("{:8} {name}: {why}", status.word())),
+            }
+            return;
+        }
+        let event = if again { "again" } else { "finished" };
+        let error = row.error.as_ref().map(|error| serde_json::json!({ "code": error.code, "message": error.message }));
+        log(&serde_json::json!({
+            "event": event, "scan": row.scan, "status": row.status, "seconds": row.seconds, "tries": row.tries,
+            "peak_rss_bytes": row.peak_rss_bytes, "error": error,
+        }));
+    }
+
+    /// How far the night is.
+    pub fn standing(&mut self, standing: &Standing) {
+        if let Some(bars) = &self.bars {
+            if self.shown.elapsed() >= BAR_PERIOD {
+                self.shown = Instant::now();
+                bars.set_message(lines(standing).join("\n"));
+                bars.tick();
+            }
+        } else if self.last_line.elapsed() >= LINE_PERIOD {
+            self.last_line = Instant::now();
+            let running = |scan: &Running| {
+                serde_json::json!({
+                    "scan": scan.scan, "stage": scan.stage, "share": scan.share, "seconds": scan.seconds,
+                    "seconds_left": scan.seconds_left,
+                })
+            };
+            log(&serde_json::json!({
+                "event": "progress", "finished": standing.finished, "failed": standing.failed, "scans": standing.scans,
+                "seconds": standing.seconds, "seconds_left": standing.seconds_left, "rss_bytes": standing.rss_bytes,
+                "running": standing.running.iter().map(running).collect::<Vec<_>>(),
+            }));
+        }
+    }
+
+    /// Nothing more is shown.
+    pub fn clear(&self) {
+        if let Some(bars) = &self.bars {
+            bars.finish_and_clear();
+        }
+    }
+}
+
+/// One line for the night, one for each scan.
+fn lines(standing: &Standing) -> Vec<String> {
+    let left = |seconds: Option<f64>| seconds.map_or(String::new(), |s| format!(", about {} left", clock(s)));
+    let failed = if standing.failed > 0 { format!(", {} of them failed", standing.failed) } else { String::new() };
+    let Standing { finished, scans, seconds, seconds_left, .. } = standing;
+    let night = format!("night    {finished} of {scans}{failed}; {} so far{}", clock(*seconds), left(*seconds_left));
+    let scan = |scan: &Running| {
+        let share = (100.0 * scan.share).floor();
+        let so_far = clock(scan.seconds);
+        format!("{:8} {} {share:.0} %; {so_far} so far{}", scan.stage, scan.scan, left(scan.seconds_left))
+    };
+    std::iter::once(night).chain(standing.running.iter().map(scan)).collect()
+}
+
+/// `1:02:03`, `2:03`.
+fn clock(seconds: f64) -> String {
+    let whole = seconds.max(0.0) as u64;
+    let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
+    if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
+}
+
+/// A closed stderr is no reason to stop.
+fn log(line: &serde_json::Value) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,6 +204,35 @@ mod tests {
         );
         assert_eq!(line(Stage::Read, 0, 100, seconds(30), seconds(30)), "read: 30 s so far");
         assert_eq!(line(Stage::Read, 5, 0, seconds(30), seconds(30)), "read: 30 s so far");
+    }
+
+    #[test]
+    fn a_night_is_a_line_and_a_line_for_each_scan() {
+        let running = Running {
+            scan: "a/b.ply".into(),
+            stage: "collapse".into(),
+            share: 0.418,
+            seconds: 61.0,
+            seconds_left: Some(30.0),
+        };
+        let mut standing = Standing {
+            finished: 7,
+            failed: 0,
+            scans: 40,
+            seconds: 3723.0,
+            seconds_left: Some(600.0),
+            rss_bytes: 0,
+            running: vec![running],
+        };
+        assert_eq!(
+            lines(&standing),
+            [
+                "night    7 of 40; 1:02:03 so far, about 10:00 left",
+                "collapse a/b.ply 41 %; 1:01 so far, about 0:30 left"
+            ]
+        );
+        (standing.failed, standing.seconds_left) = (2, None);
+        assert_eq!(lines(&standing)[0], "night    7 of 40, 2 of them failed; 1:02:03 so far");
     }
 
     #[test]

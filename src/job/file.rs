@@ -6,10 +6,15 @@
 //! output = "small.ply"
 //! faces = "500k"            # or ratio = "10%", or max_error = 0.05
 //!
+//! # Or many: [[scan]] with patterns, each saying over those before it what of its scans is different.
+//!
 //! [run]                     # everything from here on may be left out
 //! memory = "512MiB"
 //! threads = 2
 //! scratch = "fast-disk"
+//!
+//! [night]                   # for many scans: all keys are in `NightTable`
+//! stop_at = "06:30"
 //!
 //! [cluster]
 //! representative = "quadric"
@@ -26,27 +31,30 @@
 //! verify = false
 //! ```
 
-use serde::{Deserialize, Deserializer, Serialize, de};
+use serde::{Deserialize, Serialize};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::Target;
+use super::Layer;
+use super::night::NightTable;
 use super::quantity::{
-    Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight, as_written, write_size,
+    Compactness, Count, Degrees, MinComponent, Pairs, Rounds, Threads, Weight, as_written, write_size,
 };
+use super::scans::Scans;
 use crate::budget::Size;
 use crate::cluster::Representative;
 use crate::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use crate::error::{Error, Result};
-use crate::write::{Format, is_stdout};
 
 /// A job as it was said, in a file or on the command line.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobFile {
     /// What to reduce, to what, how far.
-    #[serde(deserialize_with = "scan_with_one_target")]
-    pub scan: ScanTable,
+    pub scan: Scans,
+    /// How a queue of scans is gone through.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub night: Option<NightTable>,
     /// What the run may use.
     #[serde(default)]
     pub run: RunTable,
@@ -62,31 +70,6 @@ pub struct JobFile {
     /// How the run reports.
     #[serde(default)]
     pub report: ReportTable,
-}
-
-/// `[scan]`
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ScanTable {
-    /// The scan to read.
-    pub input: PathBuf,
-    /// The mesh to write; its extension names the format.
-    pub output: PathBuf,
-    /// The format to write, where the extension does not say.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub format: Option<Format>,
-    /// Whether the result gets what the scan's vertices carry: colours, normals, any other number.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub carry: Option<bool>,
-    /// Target: this many faces.
-    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
-    pub faces: Option<Count>,
-    /// Target: this share of the scan's faces.
-    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
-    pub ratio: Option<Ratio>,
-    /// Target: as few faces as keep within this distance of the scan.
-    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
-    pub max_error: Option<Length>,
 }
 
 /// `[run]`
@@ -188,12 +171,16 @@ pub struct ReportTable {
     /// Measure the result against the scan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verify: Option<bool>,
+    /// Samples over the area of each that it is measured with.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub samples: Option<Count>,
 }
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
-const KEYS: [(&str, &[&str]); 6] = [
-    ("scan", &["input", "output", "format", "carry", "faces", "ratio", "max_error"]),
+const KEYS: [(&str, &[&str]); 7] = [
+    ("scan", &["input", "exclude", "output", "format", "carry", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch", "scratch_quota"]),
+    ("night", &["folder", "workers", "order", "scan_time", "stop_at", "retries", "retry_with_less", "pictures"]),
     ("cluster", &["representative"]),
     (
         "collapse",
@@ -216,7 +203,7 @@ const KEYS: [(&str, &[&str]); 6] = [
         ],
     ),
     ("refit", &["rounds"]),
-    ("report", &["json", "verify"]),
+    ("report", &["json", "verify", "samples"]),
 ];
 
 /// No job is longer; whatever is, is not a job file.
@@ -259,38 +246,31 @@ impl JobFile {
 
     /// Rewrites every path, but not standard input and output.
     pub fn move_paths(&mut self, to: impl Fn(&Path) -> PathBuf) {
-        let files = [&mut self.scan.input, &mut self.scan.output].into_iter();
-        let files = files.filter(|path| !is_stdout(path));
-        for path in files.chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
+        self.scan.tables_mut().iter_mut().for_each(|table| table.move_paths(&to));
+        let folder = self.night.as_mut().and_then(|night| night.folder.as_mut());
+        for path in folder.into_iter().chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
             *path = to(path);
         }
     }
 }
 
-impl ScanTable {
-    /// The one target that was said.
-    pub fn target(&self) -> std::result::Result<Target, String> {
-        match (self.faces, self.ratio, self.max_error) {
-            (Some(Count(n)), None, None) => Ok(Target::Faces(n)),
-            (None, Some(Ratio(r)), None) => Ok(Target::Ratio(r)),
-            (None, None, Some(Length(x))) => Ok(Target::MaxError(x)),
-            (None, None, None) => Err("no target: say one of faces, ratio and max_error".into()),
-            _ => Err("more than one target: say only one of faces, ratio and max_error".into()),
+/// Every key on its own: what is said above, otherwise what is said below.
+macro_rules! layered {
+    ($table:ident: $($key:ident),*) => {
+        impl Layer for $table {
+            fn over(self, below: Self) -> Self {
+                $table { $($key: self.$key.or(below.$key)),* }
+            }
         }
-    }
+    };
 }
-
-/// Checked while the table is being read, so that the error points at it.
-fn scan_with_one_target<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<ScanTable, D::Error> {
-    let scan = ScanTable::deserialize(input)?;
-    scan.target().map_err(de::Error::custom)?;
-    for (path, key) in [(&scan.input, "input"), (&scan.output, "output")] {
-        if path.as_os_str().is_empty() {
-            return Err(de::Error::custom(format_args!("`{key}` is empty")));
-        }
-    }
-    Ok(scan)
-}
+layered!(RunTable: memory, threads, scratch, scratch_quota);
+layered!(ClusterTable: representative);
+layered!(RefitTable: rounds);
+layered!(ReportTable: json, verify, samples);
+layered!(CollapseTable: quadrics, placement, weighting, boundary_weight, lock_border, lock_vertices, feature_angle,
+    feature_weight, min_component, fold_check, compactness, valence_penalty, topology, pair_distance,
+    primitive);
 
 /// What was likely meant by an unknown word, from the parser's message: the wrong word in backticks, then the right ones.
 fn hint(message: &str) -> Option<String> {
@@ -357,6 +337,10 @@ mod tests {
             ("max_error = inf", "line 4", "not a length"),
             ("max_error = '0'", "line 4", "not a length"),
             ("faces = true", "line 4", "expected a number"),
+            ("faces = ['1k', true]", "line 4", "expected a number"),
+            ("faces = ['1k', 1000]", "line 1", "said twice"),
+            ("faces = 1\n[night]\nstop_at = '6 am'", "line 6", "not a time of day"),
+            ("faces = 1\n[night]\nscan_time = 'long'", "line 6", "not a length of time"),
             ("faces = 1\n[run]\nthreads = 0", "line 6", "not a number of threads"),
             ("faces = 1\n[run]\nmemory = '12 parsecs'", "line 6", "not a size"),
             ("faces = 1\n[collapse]\nboundary_weight = -1", "line 6", "not a weight"),

@@ -3,14 +3,20 @@
 mod comparison;
 mod file;
 mod inspection;
+mod night;
 mod points;
 mod quantity;
+mod rendering;
+mod scans;
 
 pub use comparison::{Comparison, ComparisonSaid};
-pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable, ScanTable};
+pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable};
 pub use inspection::{Inspection, InspectionSaid};
+pub use night::{NightTable, Order, Span, TimeOfDay};
 pub use points::read_points;
 pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight};
+pub use rendering::{DEFAULT_WIDTH, Rendering, RenderingSaid};
+pub use scans::{ScanTable, Scans};
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -19,6 +25,7 @@ use crate::budget::{MIB, Size};
 use crate::cluster::Representative;
 use crate::collapse::{Features, Placement, Policies, Primitive, Topology};
 use crate::error::{Error, Result};
+use crate::measure::DEFAULT_SAMPLES;
 use crate::scratch::{DEFAULT_QUOTA, Scratch};
 use crate::write::{Format, is_stdout};
 
@@ -42,13 +49,53 @@ pub enum Target {
     MaxError(f64),
 }
 
+/// What is said in layers, one over another.
+pub trait Layer {
+    /// This, and where it says nothing what is below it.
+    fn over(self, below: Self) -> Self;
+}
+
+/// One more mesh of the same scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    /// How far to reduce.
+    pub target: Target,
+    /// The mesh to write.
+    pub output: PathBuf,
+    /// In which format.
+    pub format: Format,
+}
+
 impl Target {
+    /// The larger, the more is kept.
+    fn fineness(self) -> f64 {
+        match self {
+            Target::Faces(n) => n as f64,
+            Target::Ratio(r) => r,
+            Target::MaxError(x) => -x,
+        }
+    }
+
     /// The count that is asked of a scan of `scan_faces` faces; `None` where a distance is asked instead.
     pub fn faces(self, scan_faces: u64) -> Option<u64> {
         match self {
             Target::Faces(n) => Some(n),
             Target::Ratio(r) => Some(share_of(scan_faces, r)),
             Target::MaxError(_) => None,
+        }
+    }
+}
+
+impl std::fmt::Display for Target {
+    /// As a person would write it, and as part of a file's name: `2M`, `1500`, `10pct`, `0.05`.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match *self {
+            Target::Faces(n) if n > 0 && n.is_multiple_of(1_000_000) => write!(f, "{}M", n / 1_000_000),
+            Target::Faces(n) if n > 0 && n.is_multiple_of(1000) => write!(f, "{}k", n / 1000),
+            Target::Faces(n) => write!(f, "{n}"),
+            // Not by multiplication: 0.07 times 100 has a tail.
+            Target::Ratio(r) => write!(f, "{}pct", format!("{r}e2").parse().unwrap_or(100.0 * r)),
+            Target::MaxError(x) => write!(f, "{x}"),
         }
     }
 }
@@ -78,6 +125,8 @@ pub struct Job {
     pub format: Format,
     /// How far to reduce.
     pub target: Target,
+    /// Further meshes, each coarser than the one before it.
+    pub coarser: Vec<Level>,
     /// Bound on the whole process's peak resident set.
     pub memory: Size,
     /// Worker threads, at least 1; changes nothing in the result.
@@ -98,11 +147,39 @@ pub struct Job {
     pub refit_rounds: u32,
     /// Whether the result is measured against the scan.
     pub verify: bool,
+    /// Samples over the area of each that it is measured with, at most.
+    pub samples: u64,
 }
 
 impl JobFile {
-    /// Fills in the defaults.
+    /// Fills in the defaults of a job of one scan and one mesh.
     pub fn resolve(self) -> Result<Job> {
+        let output = match &self.scan {
+            Scans::One(scan) => scan.output.clone(),
+            Scans::Several(_) => None,
+        };
+        let output = output.ok_or_else(|| Error::usage("a job of one scan says where its mesh goes"))?;
+        self.resolve_to(vec![output])
+    }
+
+    /// Fills in the defaults of a job of one scan, whose meshes go there: one for each target, the finest first.
+    pub fn resolve_to(self, outputs: Vec<PathBuf>) -> Result<Job> {
+        let Scans::One(scan) = self.scan else { return Err(Error::usage("more than one scan")) };
+        let mut targets = scan.targets().map_err(Error::usage)?;
+        let [input] = &scan.input[..] else { return Err(Error::usage("more than one scan")) };
+        if targets.len() != outputs.len() {
+            return Err(Error::usage("one mesh is written for each target"));
+        }
+        let target = targets.remove(0);
+        let mut outputs = outputs.into_iter();
+        let output = outputs.next().unwrap_or_default();
+        let format_of = |output: &Path| scan.format.map_or_else(|| Format::of(output), Ok);
+        let level = |(target, output): (Target, PathBuf)| {
+            let format = format_of(&output)?;
+            Ok(Level { target, output, format })
+        };
+        let coarser = targets.into_iter().zip(outputs).map(level).collect::<Result<_>>()?;
+
         let policies = self.collapse.policies();
         if self.collapse.feature_weight.is_some() && self.collapse.feature_angle.is_none() {
             return Err(Error::usage(
@@ -110,7 +187,7 @@ impl JobFile {
             ));
         }
         let serial = policies.pair_distance.is_some() || policies.primitive == Primitive::Face;
-        if serial && (self.scan.max_error.is_some() || policies.topology == Topology::Preserve) {
+        if serial && (scan.max_error.is_some() || policies.topology == Topology::Preserve) {
             let what = "a pair distance and primitive `face` work on the way to a count of faces";
             return Err(Error::usage(format!("{what}: they go with neither `max_error` nor topology `preserve`")));
         }
@@ -128,8 +205,8 @@ impl JobFile {
             None if policies.placement == Placement::Endpoint => 0,
             None => DEFAULT_REFIT_ROUNDS,
         };
-        let format = self.scan.format.map_or_else(|| Format::of(&self.scan.output), Ok)?;
-        if is_stdout(&self.scan.output) {
+        let format = format_of(&output)?;
+        if is_stdout(&output) {
             let taken = [(self.report.json, "the report in JSON"), (self.report.verify, "what `verify` measures")];
             if let Some((_, what)) = taken.into_iter().find(|(asked, _)| *asked == Some(true)) {
                 return Err(Error::usage(format!(
@@ -139,9 +216,10 @@ impl JobFile {
         }
         Ok(Job {
             format,
-            target: self.scan.target().map_err(Error::usage)?,
-            input: self.scan.input,
-            output: self.scan.output,
+            target,
+            coarser,
+            input: input.clone(),
+            output,
             memory: self.run.memory.unwrap_or(DEFAULT_MEMORY),
             threads: self.run.threads.map_or_else(cores, |Threads(n)| n),
             scratch: self.run.scratch,
@@ -149,9 +227,10 @@ impl JobFile {
             representative: self.cluster.representative.unwrap_or_default(),
             policies,
             lock_vertices: self.collapse.lock_vertices,
-            carry: self.scan.carry.unwrap_or(true),
+            carry: scan.carry.unwrap_or(true),
             refit_rounds,
             verify: self.report.verify.unwrap_or(false),
+            samples: self.report.samples.map_or(DEFAULT_SAMPLES, |Count(n)| n),
         })
     }
 }
@@ -204,7 +283,7 @@ impl From<Policies> for CollapseTable {
 }
 
 /// The cores that this process may use.
-fn cores() -> usize {
+pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, NonZero::get).min(Threads::MOST)
 }
 
@@ -225,16 +304,19 @@ impl Job {
 
     /// The job file that says this job in full: nothing is left to a default.
     pub fn said(&self) -> JobFile {
-        let (input, output, format) = (self.input.clone(), self.output.clone(), Some(self.format));
-        let mut scan = ScanTable { input, output, format, ..Default::default() };
-        scan.carry = Some(self.carry);
-        match self.target {
-            Target::Faces(n) => scan.faces = Some(Count(n)),
-            Target::Ratio(r) => scan.ratio = Some(Ratio(r)),
-            Target::MaxError(x) => scan.max_error = Some(Length(x)),
+        let input = vec![self.input.clone()];
+        let (format, carry) = (Some(self.format), Some(self.carry));
+        let mut scan = ScanTable { input, output: Some(self.output.clone()), format, carry, ..Default::default() };
+        for target in std::iter::once(self.target).chain(self.coarser.iter().map(|level| level.target)) {
+            match target {
+                Target::Faces(n) => scan.faces.push(Count(n)),
+                Target::Ratio(r) => scan.ratio.push(Ratio(r)),
+                Target::MaxError(x) => scan.max_error = Some(Length(x)),
+            }
         }
         JobFile {
-            scan,
+            scan: Scans::One(scan.into()),
+            night: None,
             run: RunTable {
                 memory: Some(self.memory),
                 threads: Some(Threads(self.threads)),
@@ -244,7 +326,7 @@ impl Job {
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },
             refit: RefitTable { rounds: Some(Rounds(self.refit_rounds)) },
-            report: ReportTable { verify: Some(self.verify), ..Default::default() },
+            report: ReportTable { verify: Some(self.verify), samples: Some(Count(self.samples)), json: None },
         }
     }
 }

@@ -36,6 +36,12 @@ impl Scale {
         self.top
     }
 
+    /// So many colours of any scale, from nothing to the last.
+    pub fn ramp(colours: usize) -> impl Iterator<Item = [u8; 3]> {
+        let scale = Scale { top: 1.0 };
+        (0..colours).map(move |i| scale.colour(i as f64 / (colours - 1).max(1) as f64))
+    }
+
     /// The colour of a length, in sRGB.
     pub fn colour(&self, length: f64) -> [u8; 3] {
         let t = if self.top > 0.0 { (length / self.top).clamp(0.0, 1.0) } else { 0.0 };

@@ -1,9 +1,10 @@
 //! Two meshes opened, measured, and reported.
 
+use super::portrait::Portrait;
 use super::{Clock, on_threads};
 use crate::error::{Error, Result};
 use crate::job::Comparison;
-use crate::measure::{Deviation, Measured, Needs, Options, Pair, Scale, measure};
+use crate::measure::{Deviation, MOST_VERTICES, Measured, Needs, Options, Pair, Scale, measure};
 use crate::mesh::Coordinate;
 use crate::plan::{Ask, Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
@@ -92,40 +93,46 @@ impl Run<'_> {
     }
 }
 
-/// What a result is measured with when nobody said how: as many points as the budget has room for, up to the defaults of a
-/// comparison.
-fn options(purse: &Purse) -> Options {
-    let (samples, most_vertices) = (crate::measure::DEFAULT_SAMPLES, crate::measure::MOST_VERTICES);
-    Options { samples, most_vertices, seed: 0, shades: false, array_bytes: purse.while_streaming() }
+/// What a result is measured with: as many points as the budget has room for, up to those that the job says.
+fn options(run: &super::Run) -> Options {
+    let most_vertices = run.job.samples.min(MOST_VERTICES);
+    Options {
+        samples: run.job.samples,
+        most_vertices,
+        seed: 0,
+        shades: false,
+        array_bytes: run.purse.while_streaming(),
+    }
 }
 
 /// Refuses a budget in which a result of so many faces could not be measured afterwards.
-pub(super) fn check_verifiable<S: Coordinate>(faces: u64, scan: &Scan, purse: &Purse) -> Result<()> {
-    let needs = |options: &Options| Needs::of_result::<S>(faces.min(scan.triangle_count()), scan, options);
-    options(purse).fitted(needs).map(|_| ()).map_err(whole_budget)
+pub(super) fn check_verifiable<S: Coordinate>(faces: u64, run: &super::Run) -> Result<()> {
+    let needs = |options: &Options| Needs::of_result::<S>(faces.min(run.scan.triangle_count()), run.scan, options);
+    options(run).fitted(needs).map(|_| ()).map_err(whole_budget)
 }
 
-/// Measures a result that was just written against its scan.
-pub(super) fn verify(
-    scan: &Scan,
-    output: &Path,
-    purse: &Purse,
-    scratch: &Scratch,
-    progress: &Progress,
-) -> Result<Deviation> {
-    let result = Scan::open_in(output, scratch, progress)?;
-    let pair = Pair { a: scan, b: &result };
-    let crew = Crew { workers: purse.workers, progress };
+/// Measures a result that was just written against its scan, and shows it on a portrait where there is room for that.
+pub(super) fn verify(run: &super::Run, output: &Path, portrait: Option<&mut Portrait>) -> Result<Deviation> {
+    let result = Scan::open_in(output, &run.scratch, run.progress)?;
+    let pair = Pair { a: run.scan, b: &result };
     match pair.held().scalar() {
-        Scalar::F32 => verify_in::<f32>(pair, &crew, purse, scratch),
-        Scalar::F64 => verify_in::<f64>(pair, &crew, purse, scratch),
+        Scalar::F32 => verify_in::<f32>(pair, run, portrait),
+        Scalar::F64 => verify_in::<f64>(pair, run, portrait),
     }
     .map_err(whole_budget)
 }
 
-fn verify_in<S: Coordinate>(pair: Pair, crew: &Crew, purse: &Purse, scratch: &Scratch) -> Result<Deviation> {
-    let options = options(purse).fitted(|options| Needs::of::<S>(&pair, options))?;
-    Ok(measure::<S>(pair, crew, scratch, &options)?.deviation)
+fn verify_in<S: Coordinate>(pair: Pair, run: &super::Run, portrait: Option<&mut Portrait>) -> Result<Deviation> {
+    let mut options = options(run).fitted(|options| Needs::of::<S>(&pair, options))?;
+    if portrait.is_some() {
+        let shaded = Options { shades: true, ..options };
+        options = shaded.fitted(|options| Needs::of::<S>(&pair, options)).unwrap_or(options);
+    }
+    let measured = measure::<S>(pair, &super::read_crew(&run.purse, run.progress), &run.scratch, &options)?;
+    if let Some(portrait) = portrait.filter(|_| options.shades) {
+        portrait.show_deviation(&measured);
+    }
+    Ok(measured.deviation)
 }
 
 /// A stage knows what its arrays take; the process takes more.

@@ -18,7 +18,7 @@ mod text;
 pub(crate) use encode::{Header, ply_face, ply_vertex, stl_facet};
 pub use shaded::Shading;
 pub(crate) use sink::Sink;
-pub use target::{Target, is_stdout};
+pub use target::{Target, WholeFile, is_stdout, sweep};
 
 use crate::error::{Error, Result};
 use crate::mesh::columns::Meaning;

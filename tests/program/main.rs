@@ -11,8 +11,10 @@ mod interrupt;
 mod job;
 mod memory;
 mod models;
+mod night;
 mod oddities;
 mod precision;
+mod render;
 mod support;
 mod uneven;
 

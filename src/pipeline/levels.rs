@@ -1,0 +1,104 @@
+//! Further, coarser meshes of the same scan: each goes on from the one before it.
+//!
+//! The collapse of a coarser level begins with the finer one, refitted, and so costs what that one's faces cost. What it is
+//! refitted to is the finer mesh where that is [`FINE_ENOUGH`]; else one of those before it, whose vertices are followed
+//! through the collapses between.
+
+use super::{Clock, Run, mesh_file};
+use crate::collapse::{Collapsed, collapse};
+use crate::error::Result;
+use crate::job::Level;
+use crate::mesh::{Coordinate, Frame, IndexedMesh, Reference};
+use crate::refit::{Aim, refit};
+use crate::report::{LevelReport, Timeline, Warning};
+use crate::write;
+use glam::DVec3;
+
+/// A finished level, from which the next one goes on.
+pub(super) struct Chain<'a, S> {
+    pub(super) mesh: IndexedMesh<S>,
+    pub(super) frame: Frame,
+    /// What it can be refitted to, or a coarser one after it: the finest first.
+    pub(super) references: Vec<Reference<S>>,
+    /// Its estimated error, in the frame.
+    pub(super) error: f64,
+    /// Points whose vertices stay, in the frame.
+    pub(super) locked: &'a [DVec3],
+}
+
+/// Faces of a reference for each of the result's, from which on a finer one gains nothing: it lies closer to the scan than
+/// what a collapse alone would have kept, since it was refitted itself.
+const FINE_ENOUGH: usize = 4;
+
+impl Run<'_> {
+    /// Reduces further, to every coarser level.
+    pub(super) fn coarser<S: Coordinate>(
+        &self,
+        mut chain: Chain<S>,
+        outs: Vec<write::Target>,
+        clock: &mut Clock,
+        seconds: &mut Timeline,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<Vec<LevelReport>> {
+        let mut reports = Vec::new();
+        for (level, out) in self.job.coarser.iter().zip(outs) {
+            chain = self.next(chain, level, clock, seconds)?;
+            if S::DOUBLE && out.loses_doubles() {
+                warnings.push(Warning::StlLosesDoubles { vertices: chain.mesh.positions.len() as u64 });
+            }
+            let output = mesh_file(&level.output, chain.mesh.faces.len(), chain.mesh.positions.len());
+            let (wanted, _) = self.columns(out.format());
+            let carried = self.carried(&wanted, &chain.mesh, chain.frame)?;
+            seconds.carry += clock.lap();
+            out.write_carrying(&chain.mesh, chain.frame, &carried, self.progress)?;
+            seconds.write += clock.lap();
+            let error_estimate = Some(chain.frame.to_file(chain.error));
+            reports.push(LevelReport { output, error_estimate, deviation: None });
+        }
+        Ok(reports)
+    }
+
+    fn next<'a, S: Coordinate>(
+        &self,
+        chain: Chain<'a, S>,
+        level: &Level,
+        clock: &mut Clock,
+        seconds: &mut Timeline,
+    ) -> Result<Chain<'a, S>> {
+        let Chain { mesh, frame, mut references, error, locked: points } = chain;
+        let asked = level.target.faces(self.scan.triangle_count());
+        let (faces, vertices) = (mesh.faces.len(), mesh.positions.len());
+        let refits = self.job.refit_rounds > 0;
+        let mut options = self.collapse_options(asked, faces, frame, points, false);
+        options.keep_reference = refits && (options.keep_reference || !references.is_empty());
+        // Pieces that are too small have gone.
+        options.policies.min_component = None;
+        let Collapsed { mut mesh, error_estimate, reference, locked, .. } =
+            collapse(mesh, None, &options, self.progress)?;
+        self.check(asked, faces, mesh.faces.len())?;
+        seconds.collapse += clock.lap();
+        match reference {
+            // Kept as it came in: all that it stands for has gone where it has.
+            Some(kept) if (kept.mesh.faces.len(), kept.homes.len()) == (faces, vertices) => {
+                references.iter_mut().for_each(|finer| follow(finer, &kept));
+                references.push(kept);
+            }
+            Some(kept) => references = vec![kept],
+            None => references.clear(),
+        }
+        let enough = |reference: &&Reference<S>| reference.mesh.faces.len() >= FINE_ENOUGH * mesh.faces.len();
+        if let Some(reference) = references.iter().rev().find(enough).or(references.first()) {
+            let aim = Aim { reference: Some(reference), samples: None };
+            refit(&mut mesh, &aim, self.job.refit_rounds, &locked, self.progress)?;
+        }
+        seconds.refit += clock.lap();
+        Ok(Chain { mesh, frame, references, error: error + error_estimate, locked: points })
+    }
+}
+
+/// Follows the vertices of a finer reference to where those of the mesh that it stood for went.
+fn follow<S: Coordinate>(finer: &mut Reference<S>, kept: &Reference<S>) {
+    for home in finer.homes.iter_mut().filter(|home| **home != u32::MAX) {
+        *home = kept.homes[*home as usize];
+    }
+}
