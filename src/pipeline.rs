@@ -6,12 +6,12 @@ mod inspect;
 pub use compare::compare;
 pub use inspect::inspect;
 
-use crate::carry::carry;
+use crate::carry::{carry, shades};
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Target, read_points};
-use crate::mesh::columns::Columns;
+use crate::mesh::columns::{Columns, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
@@ -34,8 +34,13 @@ pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
         let scan = Scan::open_in(&job.input, &scratch, progress)?;
         let asked = job.target.faces(scan.triangle_count());
         let target = asked.unwrap_or(0);
-        let ask =
-            Ask { target, refit_rounds: job.refit_rounds, tail_bytes: collapse::tail_bytes(target, &job.policies) };
+        let ask = Ask {
+            target,
+            refit_rounds: job.refit_rounds,
+            tail_bytes: collapse::tail_bytes(target, &job.policies),
+            shade_bytes: 0,
+        };
+        let ask = Ask { shade_bytes: if steering(job, &scan).is_some() { collapse::SHADE_BYTES } else { 0 }, ..ask };
         let purse = Purse::new(job.memory.0, threads, ask);
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
         let run = Run { job, threads, progress, scan: &scan, scratch, purse, begun, locked };
@@ -53,6 +58,14 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) 
         .build()
         .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
     pool.install(work)
+}
+
+/// Columns of the colour that is to steer, if one is.
+fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
+    let colour = || std::array::from_fn(|part| scan.columns().iter().position(|c| c.meaning == Meaning::Colour(part)));
+    let found: Option<[Option<usize>; 3]> = (job.carry && job.policies.colour_weight > 0.0).then(colour);
+    let [red, green, blue] = found?;
+    Some([red?, green?, blue?])
 }
 
 /// One reduction under way.
@@ -178,7 +191,8 @@ impl Run<'_> {
             self.progress.begin(Stage::Read, self.scan.bytes());
             let crew = Crew { workers: 1, progress: self.progress };
             if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
-                return Ok(Intermediate { mesh, frame, carried: None, samples: None, source: Source::Loaded(report) });
+                let carried = self.shaded(&mesh, frame, asked)?;
+                return Ok(Intermediate { mesh, frame, carried, samples: None, source: Source::Loaded(report) });
             }
         }
         let locks = self.job.lock_vertices.as_ref().map(|_| "locking vertices");
@@ -189,6 +203,20 @@ impl Run<'_> {
         }
         let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
         self.clustered(asked, wanted, most)
+    }
+
+    /// The scan's colours, where they are to steer.
+    fn shaded<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        asked: Option<u64>,
+    ) -> Result<Option<Carried>> {
+        let Some(colour) = steering(self.job, self.scan) else { return Ok(None) };
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let weight = self.job.policies.colour_weight;
+        let shades = shades(self.scan, colour, mesh, frame, weight, asked, &crew)?;
+        Ok(Some(Carried { shades, ..Carried::default() }))
     }
 
     /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.
@@ -231,7 +259,7 @@ impl Run<'_> {
             return Ok(Intermediate {
                 mesh: clustered.mesh,
                 frame: clustered.frame,
-                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes }),
+                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes, shades: Vec::new() }),
                 samples: clustered.samples,
                 source: Source::Clustered(clustered.stats),
             });

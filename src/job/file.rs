@@ -158,6 +158,9 @@ pub struct CollapseTable {
     /// Penalty on vertices of many faces.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub valence_penalty: Option<Weight>,
+    /// How much colours steer.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub colour_weight: Option<Weight>,
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
@@ -210,6 +213,7 @@ const KEYS: [(&str, &[&str]); 6] = [
             "fold_check",
             "compactness",
             "valence_penalty",
+            "colour_weight",
             "topology",
             "pair_distance",
             "primitive",
