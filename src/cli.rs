@@ -177,6 +177,10 @@ struct CollapseArgs {
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     valence_penalty: Option<Weight>,
 
+    /// How much vertices' colours steer against shape, where the scan fits the budget: 0 for not at all [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    colour_weight: Option<Weight>,
+
     /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
     #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
     topology: Option<Topology>,
@@ -493,6 +497,7 @@ impl From<CollapseArgs> for CollapseTable {
             fold_check: args.fold_check,
             compactness: args.compactness,
             valence_penalty: args.valence_penalty,
+            colour_weight: args.colour_weight,
             topology: args.topology,
             pair_distance: args.pair_distance,
             primitive: args.primitive,

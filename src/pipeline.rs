@@ -13,12 +13,12 @@ pub use inspect::inspect;
 pub use portrait::PortraitAsked;
 pub use render::render;
 
-use crate::carry::carry;
+use crate::carry::{carry, shades};
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
-use crate::mesh::columns::Columns;
+use crate::mesh::columns::{Columns, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
@@ -49,7 +49,7 @@ pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress:
         let scratch = job.scratch();
         let scan = Scan::open_in(&job.input, &scratch, progress)?;
         let asked = job.target.faces(scan.triangle_count());
-        let purse = Purse::new(job.memory.0, threads, ask(job, asked));
+        let purse = Purse::new(job.memory.0, threads, ask(job, &scan, asked));
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
         let run = Run { job, portrait, threads, progress, scan: &scan, scratch, purse, begun, locked };
         match scan.scalar() {
@@ -68,15 +68,28 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) 
     pool.install(work)
 }
 
-/// What a job that asks for so many faces is to be paid.
-fn ask(job: &Job, asked: Option<u64>) -> Ask {
+/// What a job that asks for so many faces of a scan is to be paid.
+fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
     let target = asked.unwrap_or(0);
-    Ask { target, refit_rounds: job.refit_rounds, tail_bytes: collapse::tail_bytes(target, &job.policies) }
+    Ask {
+        target,
+        refit_rounds: job.refit_rounds,
+        tail_bytes: collapse::tail_bytes(target, &job.policies),
+        shade_bytes: if steering(job, scan).is_some() { collapse::SHADE_BYTES } else { 0 },
+    }
 }
 
 /// Who streams a scan within a budget.
 fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
     Crew { workers: purse.workers, progress }
+}
+
+/// Columns of the colour that is to steer, if one is.
+fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
+    let colour = || std::array::from_fn(|part| scan.columns().iter().position(|c| c.meaning == Meaning::Colour(part)));
+    let found: Option<[Option<usize>; 3]> = (job.carry && job.policies.colour_weight > 0.0).then(colour);
+    let [red, green, blue] = found?;
+    Some([red?, green?, blue?])
 }
 
 /// One reduction under way.
@@ -229,7 +242,8 @@ impl Run<'_> {
             self.progress.begin(Stage::Read, self.scan.bytes());
             let crew = Crew { workers: 1, progress: self.progress };
             if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
-                return Ok(Intermediate { mesh, frame, carried: None, samples: None, source: Source::Loaded(report) });
+                let carried = self.shaded(&mesh, frame, asked)?;
+                return Ok(Intermediate { mesh, frame, carried, samples: None, source: Source::Loaded(report) });
             }
         }
         let locks = self.job.lock_vertices.as_ref().map(|_| "locking vertices");
@@ -240,6 +254,20 @@ impl Run<'_> {
         }
         let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
         self.clustered(asked, wanted, most)
+    }
+
+    /// The scan's colours, where they are to steer.
+    fn shaded<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        asked: Option<u64>,
+    ) -> Result<Option<Carried>> {
+        let Some(colour) = steering(self.job, self.scan) else { return Ok(None) };
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let weight = self.job.policies.colour_weight;
+        let shades = shades(self.scan, colour, mesh, frame, weight, asked, &crew)?;
+        Ok(Some(Carried { shades, ..Carried::default() }))
     }
 
     /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.
@@ -282,7 +310,7 @@ impl Run<'_> {
             return Ok(Intermediate {
                 mesh: clustered.mesh,
                 frame: clustered.frame,
-                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes }),
+                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes, shades: Vec::new() }),
                 samples: clustered.samples,
                 source: Source::Clustered(clustered.stats),
             });

@@ -89,6 +89,8 @@ pub struct Ask {
     pub refit_rounds: u32,
     /// What the last steps of the collapse take.
     pub tail_bytes: u64,
+    /// What a vertex carries into the collapse beside its position, where the scan is collapsed as it is.
+    pub shade_bytes: u64,
 }
 
 /// A budget and the hands that share it.
@@ -170,16 +172,17 @@ impl Purse {
     /// to have more.
     pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
-        let bytes = |faces, vertices| {
+        let bytes = |faces: u64, vertices: u64| {
+            let shades = self.ask.shade_bytes * vertices;
             if self.ask.target == 0 || scan.triangle_count() / 20 < self.ask.target {
-                self.near_bytes::<S>(faces, vertices, false)
+                shades + self.near_bytes::<S>(faces, vertices, false)
             } else {
-                collapse::bytes::<S>(faces, vertices)
+                shades + collapse::bytes::<S>(faces, vertices)
             }
         };
         let most_vertices = self.for_scan(scan).checked_sub(bytes(faces, 0))? / bytes(0, 1);
         let fits = match scan.layout() {
-            Layout::Indexed => scan.vertex_count() <= most_vertices && load_peak_bytes(scan) <= self.for_arrays(),
+            Layout::Indexed => scan.vertex_count() <= most_vertices && self.loading_bytes(scan) <= self.for_arrays(),
             // A closed soup has half as many vertices as faces. How many it really has shows while it is welded.
             Layout::Soup => faces / 2 <= most_vertices,
         };
@@ -241,10 +244,16 @@ impl Purse {
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
     }
 
+    /// What loading takes, colours and all.
+    fn loading_bytes(&self, scan: &Scan) -> u64 {
+        load_peak_bytes(scan).saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()))
+    }
+
     /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
     pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
         let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count(), false);
-        let loading = load_peak_bytes(scan);
+        let collapse = collapse.saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()));
+        let loading = self.loading_bytes(scan);
         self.least_budget(|purse| collapse <= purse.for_scan(scan) && loading <= purse.for_arrays())
     }
 

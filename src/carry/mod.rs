@@ -17,11 +17,12 @@ mod solve;
 
 use crate::error::Result;
 use crate::mesh::columns::{Column, Columns, Meaning};
-use crate::mesh::{Coordinate, Frame, IndexedMesh, Tree};
+use crate::mesh::{BATCH as BATCH_OF_PLACES, Coordinate, Frame, IndexedMesh, PositionTable, Tree, narrow, widen};
 use crate::progress::Stage;
 use crate::read::{Crew, Scan};
 use glam::DVec3;
 use solve::System;
+use std::sync::{Mutex, PoisonError};
 
 /// Vertices of the scan for each of the result's, at most about: more hardly change a value.
 pub const SAMPLES: u64 = 40;
@@ -64,6 +65,62 @@ pub fn carry<S: Coordinate>(
     }
     make_unit(&mut carried);
     Ok(carried)
+}
+
+/// What full brightness counts, as a share of an edge of the result, where colours weigh 1.
+const COLOUR_LENGTH: f64 = 0.09;
+
+/// The colours of a loaded scan's vertices, as lengths in its frame, for the collapse: `colour` are the columns. A vertex takes
+/// them from the first one of the file at its place.
+pub fn shades<S: Coordinate>(
+    scan: &Scan,
+    colour: [usize; 3],
+    mesh: &IndexedMesh<S>,
+    frame: Frame,
+    weight: f64,
+    asked: Option<u64>,
+    crew: &Crew<'_>,
+) -> Result<Vec<[f32; 3]>> {
+    let area = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|v| mesh.at(v));
+        0.5 * (b - a).cross(c - a).length()
+    };
+    let faces = asked.unwrap_or(0).max(mesh.faces.len() as u64 / 50).max(1);
+    let edge = (mesh.faces.iter().map(area).sum::<f64>() / faces as f64).sqrt();
+    let length = weight * COLOUR_LENGTH * edge;
+    let mut table = PositionTable::with_room_for(mesh.positions.len());
+    for (batch, positions) in mesh.positions.chunks(BATCH_OF_PLACES).enumerate() {
+        let looked_up = table.look_up(positions, &mesh.positions);
+        for (i, (p, at)) in positions.iter().zip(looked_up).enumerate() {
+            table.find_or_insert(p, at, &mesh.positions, (batch * BATCH_OF_PLACES + i) as u32);
+        }
+    }
+    let columns = colour.map(|c| &scan.columns()[c]);
+    let mut shades = vec![[f32::NAN; 3]; mesh.positions.len()];
+    let crew = Crew { workers: 1, ..*crew };
+    let all = Mutex::new(&mut shades);
+    scan.carried(
+        &crew,
+        || (),
+        |(), chunk| {
+            let mut shades = all.lock().unwrap_or_else(PoisonError::into_inner);
+            for (p, values) in chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns)) {
+                let p = narrow::<S>(widen(p.map(S::narrow)).map(|x| frame.to_frame(x)));
+                let at = table.look_up(std::slice::from_ref(&p), &mesh.positions)[0];
+                let Some(vertex) = table.find(&p, at, &mesh.positions) else { continue };
+                let shade = &mut shades[vertex as usize];
+                if shade[0].is_nan() {
+                    let part = |i: usize| (length * columns[i].brightness(values[colour[i]])) as f32;
+                    *shade = [part(0), part(1), part(2)];
+                }
+            }
+            Ok(())
+        },
+    )?;
+    drop(table);
+    // What has no colour, or none that is a number, is black.
+    shades.iter_mut().for_each(|shade| *shade = shade.map(|x| if x.is_finite() { x } else { 0.0 }));
+    Ok(shades)
 }
 
 /// Which vertices of the scan are asked: a share that no regularity of the scan can fall into step with.

@@ -57,6 +57,18 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
             error_sq = error_sq.max(error);
         }
     }
+    if surface.is_shaded() {
+        let this = &*surface;
+        let shades: Vec<[f32; 3]> = leaders
+            .par_iter()
+            .with_min_len(256)
+            .map_init(Vec::new, |members, &v| {
+                batch.members(v, members);
+                this.merged_shade(&this.stars, members, widen(batch.spots[v as usize]))
+            })
+            .collect();
+        leaders.iter().zip(shades).for_each(|(&v, shade)| surface.shades[v as usize] = shade);
+    }
     for &v in leaders {
         surface.positions[v as usize] = batch.spots[v as usize];
     }
@@ -87,7 +99,7 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
 
 /// Drops faces that are no more and vertices that no face uses.
 fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
-    let Surface { faces, costs, positions, learnt, current, marks, pieces, .. } = surface;
+    let Surface { faces, costs, positions, learnt, current, shades, marks, pieces, .. } = surface;
     let mut kept = 0;
     for (number, mark) in numbers.iter_mut().zip(&mut *marks) {
         let used = *mark.get_mut() & USED != 0;
@@ -110,6 +122,7 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
         || {
             keep(learnt, numbers);
             keep(current, numbers);
+            keep(shades, numbers);
             keep(positions, numbers);
             keep(&mut pieces.of, numbers);
             keep_marks(marks, numbers);

@@ -24,6 +24,8 @@
 //! A piece of the mesh (a connected component) is not flattened for next to nothing: its last collapse costs at least what
 //! deviation would say of its loss (`pieces`).
 //!
+//! Colours, where a scan has them and fits the budget, are solved for with the place (`shade`).
+//!
 //! **Promises.** Input as it comes: borders, non-manifold edges and vertices, coincident and zero-area faces. No face turns
 //! over unless the count cannot be reached otherwise ([`Collapsed::folded`]). The same mesh for any number of threads, since
 //! every step is a function of the state before it. No constant depends on the scan's size: coordinates are in the
@@ -44,6 +46,7 @@ mod penalty;
 mod pieces;
 mod place;
 mod policy;
+mod shade;
 mod surface;
 mod tail;
 mod weigh;
@@ -88,13 +91,15 @@ impl Options<'_> {
     }
 }
 
-/// What clustering knows of the vertices that it hands on.
+/// What is known of the vertices that are handed on.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Carried {
     /// What each vertex has learnt, about its position.
     pub quadrics: Vec<PackedQuadric>,
     /// Vertices that somebody wants to find again, [`u32::MAX`] for none.
     pub homes: Vec<u32>,
+    /// Colours that are to steer, as lengths in the frame: what a difference of them counts against a distance.
+    pub shades: Vec<[f32; 3]>,
 }
 
 /// The reduced mesh and what happened.
@@ -175,6 +180,9 @@ pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
     36 * faces + (2 * position + 89) * vertices
 }
 
+/// Bytes a vertex that colours add where they steer.
+pub const SHADE_BYTES: u64 = 12;
+
 /// Bytes that a reference of so many faces and vertices adds. One that is kept when twenty times the target or more come in
 /// adds nothing: by then the arrays of those that have gone make room.
 pub fn reference_bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
@@ -207,12 +215,13 @@ pub fn collapse<S: Coordinate>(
     options: &Options,
     progress: &Progress,
 ) -> Result<Collapsed<S>> {
-    let Carried { quadrics, homes } = carried.unwrap_or_default();
+    let Carried { quadrics, homes, mut shades } = carried.unwrap_or_default();
     let mut learnt = Some(quadrics).filter(|quadrics| !quadrics.is_empty());
     let least = options.policies.min_component;
-    let dropped = least.map_or(Dropped::default(), |least| pieces::drop_small(&mut mesh, &mut learnt, least));
+    let dropped =
+        least.map_or(Dropped::default(), |least| pieces::drop_small(&mut mesh, &mut learnt, &mut shades, least));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
-    let (mut surface, irregularities) = prepare(mesh, learnt, options);
+    let (mut surface, irregularities) = prepare(mesh, learnt, shades, options);
     let mut error_sq = largest_error_sq(&surface.learnt);
     let mut rounds = Rounds::new(options, homes);
     while let Some(round_error_sq) = rounds.turn(&mut surface, progress)? {
@@ -246,6 +255,7 @@ pub fn collapse<S: Coordinate>(
 fn prepare<S: Coordinate>(
     mesh: IndexedMesh<S>,
     learnt: Option<Vec<PackedQuadric>>,
+    shades: Vec<[f32; 3]>,
     options: &Options,
 ) -> (Surface<S>, Irregularities) {
     let n = mesh.positions.len();
@@ -257,6 +267,7 @@ fn prepare<S: Coordinate>(
         positions: mesh.positions,
         learnt: learnt.unwrap_or_default(),
         current: Vec::new(),
+        shades,
         pieces: Pieces::default(),
         marks: (0..n).map(|_| AtomicU8::new(0)).collect(),
         stars,

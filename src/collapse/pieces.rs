@@ -174,6 +174,7 @@ pub struct Dropped {
 pub(super) fn drop_small<S: Coordinate>(
     mesh: &mut IndexedMesh<S>,
     learnt: &mut Option<Vec<PackedQuadric>>,
+    shades: &mut Vec<[f32; 3]>,
     least: Least,
 ) -> Dropped {
     let of = roots(mesh);
@@ -201,6 +202,9 @@ pub(super) fn drop_small<S: Coordinate>(
     keep(&mut mesh.positions, &small);
     if let Some(learnt) = learnt {
         keep(learnt, &small);
+    }
+    if !shades.is_empty() {
+        keep(shades, &small);
     }
     Dropped { pieces: pieces as u64, faces: (before - mesh.faces.len()) as u64 }
 }
@@ -382,7 +386,7 @@ mod tests {
             mesh.faces.extend(big.faces.iter().map(|f| f.map(|v| v + 4)));
             mesh.faces.push([4, 5, 6]);
             mesh.positions.extend(&big.positions);
-            let dropped = drop_small(&mut mesh, &mut None, least);
+            let dropped = drop_small(&mut mesh, &mut None, &mut Vec::new(), least);
             assert_eq!((dropped.pieces, dropped.faces), (1 - pieces, 4 - 4 * pieces), "{least:?}");
             assert_eq!((mesh.faces.len() as u64, mesh.positions.len() as u64), (5 + 4 * pieces, 4 + 4 * pieces));
             assert!(mesh.faces.iter().flatten().all(|&v| u64::from(v) < 4 + 4 * pieces));

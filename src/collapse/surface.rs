@@ -26,6 +26,8 @@ pub(super) struct Surface<S> {
     /// `A` of the faces that now meet at each vertex, about its position (so `b` and `c` are zero). Empty far
     /// from the target.
     pub current: Vec<[f32; 6]>,
+    /// Colours as lengths, where they steer; else empty.
+    pub shades: Vec<[f32; 3]>,
     pub marks: Vec<AtomicU8>,
     pub pieces: Pieces,
     pub stars: Stars,
@@ -115,10 +117,12 @@ impl<S: Coordinate> Surface<S> {
         let half = 0.5 * (pb - pa);
         let policies = &options.policies;
         let learnt = self.learnt_form(a, b, half);
+        let shaded = |q: Quadric| if self.is_shaded() { q + self.shade_form(around, a, b) } else { q };
         let mut candidate = match policies.quadrics {
-            Quadrics::Accumulated => self.place(a, b, &learnt, half, options),
+            Quadrics::Accumulated => self.place(a, b, &shaded(learnt), half, options),
             Quadrics::Current => {
-                let mut candidate = self.place(a, b, &self.current_form(around, a, b, half, options), half, options);
+                let q = shaded(self.current_form(around, a, b, half, options));
+                let mut candidate = self.place(a, b, &q, half, options);
                 candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
                 candidate
             }
@@ -329,7 +333,10 @@ impl<S: Coordinate> Surface<S> {
     #[inline(always)]
     pub fn rank(&self, a: u32, b: u32) -> f32 {
         let half = 0.5 * step(self.positions[a as usize], self.positions[b as usize]);
-        let cost = least_of_three(&self.learnt[a as usize], &self.learnt[b as usize], half);
+        let mut cost = least_of_three(&self.learnt[a as usize], &self.learnt[b as usize], half);
+        if self.is_shaded() {
+            cost += self.shade_rank(a, b);
+        }
         if cost < REFUSED { cost } else { REFUSED }
     }
 
@@ -414,10 +421,9 @@ fn subtract(q: &mut Quadric, o: &Quadric) {
 fn least_of_three(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
     let (x, y, z) = (half.x, half.y, half.z);
     let squares = [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z];
-    let form = |a: &[f32; 6]| {
-        let t: [f32; 6] = std::array::from_fn(|i| a[i] * squares[i]);
-        ((t[0] + t[1]) + (t[2] + t[3])) + (t[4] + t[5])
-    };
+    // Written out: as a map over the array it is a call an element where the compiler cuts units unluckily (12 % of all).
+    let s = &squares;
+    let form = |a: &[f32; 6]| ((a[0] * s[0] + a[1] * s[1]) + (a[2] * s[2] + a[3] * s[3])) + (a[4] * s[4] + a[5] * s[5]);
     // p at its own origin is c, in the middle c + 2b·h + hᵀAh, at q's origin c + 4b·h + 4hᵀAh; q likewise towards −h.
     let (pb, qb) = (2.0 * Vec3::from(p.b).dot(half), -2.0 * Vec3::from(q.b).dot(half));
     let (pa, qa) = (form(&p.a), form(&q.a));

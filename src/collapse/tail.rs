@@ -203,6 +203,9 @@ impl<S: Coordinate> Tail<'_, S> {
     /// `a` and `b` become one at `spot`, without any question.
     pub fn merge(&mut self, a: u32, b: u32, spot: [S; 3]) {
         let v = a as usize;
+        if self.surface.is_shaded() {
+            self.surface.shades[v] = self.surface.merged_shade(&self.overlay, &[a, b], widen(spot));
+        }
         self.surface.learnt[v] = self.surface.merged(&[a, b], widen(spot)).pack();
         self.surface.positions[v] = spot;
         let marks = self.surface.mark(b) & KEPT;

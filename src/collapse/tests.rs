@@ -251,7 +251,7 @@ fn carried_quadrics_are_used() {
     let plain = reduce(&scan, 400);
     let heavy = vec![PackedQuadric { c: 1e-2, w: 1.0, ..Default::default() }; scan.positions.len()];
     let carried =
-        collapse(scan, Some(Carried { quadrics: heavy, homes: Vec::new() }), &options(400), &Progress::default())
+        collapse(scan, Some(Carried { quadrics: heavy, ..Default::default() }), &options(400), &Progress::default())
             .unwrap();
     assert!(carried.error_estimate >= 0.1 && plain.error_estimate < 0.1);
 }

@@ -141,6 +141,9 @@ pub struct CollapseTable {
     /// Penalty on vertices of many faces.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub valence_penalty: Option<Weight>,
+    /// How much colours steer.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub colour_weight: Option<Weight>,
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
@@ -197,6 +200,7 @@ const KEYS: [(&str, &[&str]); 7] = [
             "fold_check",
             "compactness",
             "valence_penalty",
+            "colour_weight",
             "topology",
             "pair_distance",
             "primitive",
@@ -270,7 +274,7 @@ layered!(RefitTable: rounds);
 layered!(ReportTable: json, verify, samples);
 layered!(CollapseTable: quadrics, placement, weighting, boundary_weight, lock_border, lock_vertices, feature_angle,
     feature_weight, min_component, fold_check, compactness, valence_penalty, topology, pair_distance,
-    primitive);
+    primitive, colour_weight);
 
 /// What was likely meant by an unknown word, from the parser's message: the wrong word in backticks, then the right ones.
 fn hint(message: &str) -> Option<String> {

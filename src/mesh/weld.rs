@@ -125,6 +125,22 @@ impl PositionTable {
         }
     }
 
+    /// The vertex at `p`, if there is one.
+    pub fn find<S: Coordinate>(&self, p: &[S; 3], at: LookUp, positions: &[[S; 3]]) -> Option<u32> {
+        if at.vertex != NONE {
+            return Some(at.vertex);
+        }
+        let mask = self.slots.len() - 1;
+        let mut slot = at.hash & mask;
+        loop {
+            match self.slots[slot] {
+                NONE => return None,
+                v if positions[v as usize] == *p => return Some(v),
+                _ => slot = (slot + 1) & mask,
+            }
+        }
+    }
+
     /// Doubles the slots. The old ones are given back first: the positions, all different, are all it takes.
     pub fn grow<S: Coordinate>(&mut self, positions: &[[S; 3]]) {
         let slots = 2 * self.slots.len();

@@ -37,7 +37,7 @@ pub fn forecast(job: &Job, progress: &Progress) -> Result<Forecast> {
 fn through<S: Coordinate>(job: &Job, scan: &Scan) -> Result<Forecast> {
     let faces = scan.triangle_count();
     let asked = job.target.faces(faces);
-    let purse = Purse::new(job.memory.0, job.threads, super::ask(job, asked));
+    let purse = Purse::new(job.memory.0, job.threads, super::ask(job, scan, asked));
     let mode = match purse.in_core::<S>(scan) {
         Some(_) => Mode::InCore,
         None => purse.out_of_core::<S>(scan, asked).map(|_| Mode::OutOfCore)?,

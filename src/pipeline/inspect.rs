@@ -5,6 +5,7 @@ use crate::collapse::{self, Policies};
 use crate::error::{Error, Result};
 use crate::inspect::inspect as look_through;
 use crate::job::{DEFAULT_REFIT_ROUNDS, Inspection};
+use crate::mesh::columns::Meaning;
 use crate::plan::{Ask, Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scalar, Scan};
@@ -34,6 +35,7 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
             target: faces,
             refit_rounds: DEFAULT_REFIT_ROUNDS,
             tail_bytes: collapse::tail_bytes(faces, &policies),
+            shade_bytes: if has_colour(&scan) { collapse::SHADE_BYTES } else { 0 },
         };
         let purse = Purse::new(inspection.memory.0, threads, ask);
         let crew = Crew { workers: purse.workers, progress };
@@ -66,6 +68,11 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
             seconds: begun.elapsed().as_secs_f64(),
         })
     })
+}
+
+/// Whether vertices have colours, which would steer.
+fn has_colour(scan: &Scan) -> bool {
+    (0..3).all(|part| scan.columns().iter().any(|c| c.meaning == Meaning::Colour(part)))
 }
 
 /// What a reduction to so many faces would take, asked of the plan that would make it.
