@@ -13,6 +13,7 @@ use meshmill::pipeline::reduce;
 use meshmill::progress::Progress;
 use meshmill::read::{Crew, Scan};
 use meshmill::scratch::Scratch;
+use meshmill::write::Format;
 use scan::{Files, group, loaded, on_threads, only_tried, open};
 use std::path::Path;
 
@@ -54,15 +55,17 @@ fn reduced(files: &Files) -> Scan {
     let job = Job {
         input: files.ply.clone(),
         output: output.clone(),
+        format: Format::Ply,
         target: Target::Faces(files.faces / 100),
         coarser: Vec::new(),
         memory: Size(512 * MIB),
         threads: 2,
         scratch: None,
-        scratch_quota: None,
+        scratch_quota: meshmill::scratch::DEFAULT_QUOTA,
         representative: Representative::Quadric,
         policies: Default::default(),
         lock_vertices: None,
+        carry: true,
         refit_rounds: 1,
         verify: false,
         samples: 0,

@@ -6,10 +6,11 @@ use std::path::PathBuf;
 use meshmill::budget::Size;
 use meshmill::collapse::{FoldCheck, Placement, Primitive, Quadrics, Topology, Weighting};
 use meshmill::job::{
-    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, JobFile, Length, MinComponent, Pairs, Ratio,
-    RefitTable, RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
+    CollapseTable, Compactness, ComparisonSaid, Count, Degrees, InspectionSaid, JobFile, Length, MinComponent, Pairs,
+    Ratio, RefitTable, RenderingSaid, ReportTable, Rounds, RunTable, ScanTable, Scans, Threads, Weight,
 };
 use meshmill::queue::Shard;
+use meshmill::write::{Format, is_stdout};
 use serde::Deserialize;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
@@ -35,6 +36,8 @@ pub enum Command {
     Run(RunArgs),
     /// Measure how far two meshes are from each other, both ways
     Compare(CompareArgs),
+    /// Say what is in a scan: counts, attributes, extent, defects, and what a reduction would take
+    Inspect(InspectArgs),
     /// Make a realistic scan of any size
     Synth(SynthArgs),
     /// Take a picture of meshes, side by side, seen by the same camera
@@ -49,13 +52,21 @@ pub enum Command {
 /// `meshmill reduce`
 #[derive(Debug, Args)]
 pub struct ReduceArgs {
-    /// The scan: PLY or STL, binary or ASCII
+    /// The scan: PLY, STL, OBJ, OFF, GLB or glTF 2, also as .gz or .zst; - for standard input
     #[arg(value_name = "IN")]
     input: PathBuf,
 
-    /// The mesh to write, binary: .ply or .stl
+    /// The mesh to write: .ply, .stl, .obj or .glb; - for standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+
+    /// Write ply, ply-ascii, stl, obj, glb or glb-quantised [default: by OUT's extension; ply to standard output]
+    #[arg(long, value_name = "WHICH", value_parser = word::<Format>)]
+    format: Option<Format>,
+
+    /// Leave out what the scan's vertices carry beside their positions: colours, normals, any other number
+    #[arg(long)]
+    no_carry: bool,
 
     #[command(flatten)]
     target: TargetArgs,
@@ -75,11 +86,11 @@ pub struct ReduceArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     threads: Option<Threads>,
 
-    /// Folder for spills [default: OUT's folder]
+    /// Folder for spills and for what is unpacked [default: OUT's folder]
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
 
-    /// Bound on what spills take at one time [default: none]
+    /// The most that may be in that folder at one time [default: 256GiB]
     #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
     scratch_quota: Option<Size>,
 
@@ -215,7 +226,7 @@ pub struct RunArgs {
 /// `meshmill compare`
 #[derive(Debug, Args)]
 pub struct CompareArgs {
-    /// The mesh whose diagonal shares are of, such as a scan: PLY or STL, binary or ASCII
+    /// The mesh whose diagonal shares are of, such as a scan, in any format that `reduce` reads
     #[arg(value_name = "A")]
     a: PathBuf,
 
@@ -243,9 +254,13 @@ pub struct CompareArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     threads: Option<Threads>,
 
-    /// Folder for spills [default: the heat map's folder, or the one the program runs in]
+    /// Folder for spills and for what is unpacked [default: the heat map's folder, or the one the program runs in]
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
+
+    /// The most that may be in that folder at one time [default: 256GiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    scratch_quota: Option<Size>,
 
     /// Write the smaller mesh with the deviation of its vertices as colours and as a property, binary PLY
     #[arg(long, value_name = "OUT.ply")]
@@ -256,10 +271,53 @@ pub struct CompareArgs {
     pub json: bool,
 }
 
+/// `meshmill inspect`
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// The scan, in any format that `reduce` reads
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// Say what a reduction to this many faces would take
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    faces: Option<Count>,
+
+    /// Say what a reduction to this share of the faces would take [default: 1%]
+    #[arg(long, value_name = "R", allow_negative_numbers = true, conflicts_with = "faces")]
+    ratio: Option<Ratio>,
+
+    /// Bound on the whole process's peak resident memory: what it has no room for is not said [default: 512MiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    memory: Option<Size>,
+
+    /// Worker threads; what is found does not depend on them [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    threads: Option<Threads>,
+
+    /// Folder for spills and for what is unpacked [default: the one the program runs in]
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
+
+    /// The most that may be in that folder at one time [default: 256GiB]
+    #[arg(long, value_name = "SIZE", allow_negative_numbers = true)]
+    scratch_quota: Option<Size>,
+
+    /// One JSON object on stdout; progress and words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl From<InspectArgs> for InspectionSaid {
+    fn from(args: InspectArgs) -> Self {
+        let InspectArgs { input, faces, ratio, memory, threads, scratch, scratch_quota, json: _ } = args;
+        InspectionSaid { input, faces, ratio, memory, threads, scratch, scratch_quota }
+    }
+}
+
 /// `meshmill synth`
 #[derive(Debug, Args)]
 pub struct SynthArgs {
-    /// The scan to write, binary: .ply or .stl
+    /// The scan to write, binary: .ply or .stl; - for standard output
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
 
@@ -376,20 +434,31 @@ impl From<RenderArgs> for RenderingSaid {
     }
 }
 
+impl CompareArgs {
+    /// Whether the heat map goes to standard output.
+    pub fn shades_to_stdout(&self) -> bool {
+        self.heatmap.as_deref().is_some_and(is_stdout)
+    }
+}
+
 impl From<CompareArgs> for ComparisonSaid {
     fn from(args: CompareArgs) -> Self {
-        let CompareArgs { a, b, samples, every_vertex, seed, memory, threads, scratch, heatmap, json: _ } = args;
-        ComparisonSaid { a, b, samples, every_vertex, seed, memory, threads, scratch, heatmap }
+        let CompareArgs { a, b, samples, every_vertex, seed, memory, threads, scratch, .. } = args;
+        let CompareArgs { scratch_quota, heatmap, .. } = args;
+        ComparisonSaid { a, b, samples, every_vertex, seed, memory, threads, scratch, scratch_quota, heatmap }
     }
 }
 
 impl From<ReduceArgs> for JobFile {
     fn from(args: ReduceArgs) -> Self {
         let TargetArgs { faces, ratio, max_error } = args.target;
+        let carry = args.no_carry.then_some(false);
         JobFile {
             scan: Scans::One(Box::new(ScanTable {
                 input: vec![args.input],
                 output: Some(args.output),
+                format: args.format,
+                carry,
                 faces: faces.into_iter().collect(),
                 ratio: ratio.into_iter().collect(),
                 max_error,

@@ -13,18 +13,20 @@
 //!
 //! | module | takes | gives |
 //! |---|---|---|
-//! | [`read`] | a mapped PLY or STL | chunks of vertices, triangles or soup; or the whole scan, welded |
-//! | [`cluster`] | those chunks | an intermediate mesh of about twelve times the result's size, a quadric a vertex, samples of the surface |
+//! | [`read`] | a mapped file of any format, unpacked if need be | chunks of vertices, triangles or soup; or the whole scan, welded |
+//! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex, samples of the surface |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
 //! | [`refit`] | that mesh, and samples of the scan or a finer mesh | the same mesh, closer to the scan |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
+//! | [`inspect`] | a scan | counts of what is in it and of what is wrong with it |
 //! | [`picture`] | a scan, a camera | what it looks like |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!
-//! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
-//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure` and `picture` stream through `read`; none of them
-//! knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
+//! **Direction.** `main` → [`morning`] → [`queue`] → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`],
+//! [`scratch`], [`budget`], [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure`,
+//! `inspect` and `picture` stream through `read`; none of them knows [`job`] or [`report`]. The library is silent: stages
+//! count, `report` and `morning` word, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
 //! tables are sized from the scan and the budget; what threads share is summed in integers; every step of the collapse is a
@@ -45,9 +47,11 @@
 //! *Budget*, bytes.
 
 pub mod budget;
+pub mod carry;
 pub mod cluster;
 pub mod collapse;
 pub mod error;
+pub mod inspect;
 pub mod job;
 pub mod measure;
 pub mod mesh;

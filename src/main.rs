@@ -14,10 +14,11 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, CompareArgs, RenderArgs, RunArgs, SynthArgs};
-use meshmill::job::{ComparisonSaid, JobFile, RenderingSaid};
+use cli::{Cli, Command, CompareArgs, InspectArgs, RenderArgs, RunArgs, SynthArgs};
+use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile, RenderingSaid};
 use meshmill::progress::Progress;
-use meshmill::report::{Failure, MeshFile, Synthesis, json};
+use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
+use meshmill::write::is_stdout;
 use meshmill::{Error, Result, pipeline, synth};
 
 fn main() -> ExitCode {
@@ -26,6 +27,7 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Reduce(args) }) => reduce((*args).into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
+        Ok(Cli { command: Command::Inspect(args) }) => inspect(args),
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Ok(Cli { command: Command::Render(args) }) => render(args),
         Ok(Cli { command: Command::Report(args) }) => night::merge(args),
@@ -42,22 +44,26 @@ struct Saying {
     unmet: Option<String>,
     /// The exit code then.
     code: u8,
+    /// Whether stdout has the result itself: words then go to stderr.
+    stdout_is_taken: bool,
 }
 
 impl Saying {
     fn new(object: String, lines: Vec<String>) -> Self {
-        Saying { object, lines, unmet: None, code: 1 }
+        Saying { object, lines, unmet: None, code: 1, stdout_is_taken: false }
     }
 }
 
 fn reduce(said: JobFile) -> ExitCode {
     let in_json = said.report.json == Some(true);
+    let stdout_is_taken = said.scan.tables().iter().any(|scan| scan.output.as_deref().is_some_and(is_stdout));
     let outcome = said.resolve().and_then(|job| working(|progress| pipeline::reduce(&job, progress)));
     let saying = outcome.map(|report| Saying {
         object: json(&report),
         lines: report.lines(),
         unmet: report.unmet.as_ref().map(|unmet| unmet.message().into()),
         code: 1,
+        stdout_is_taken,
     });
     conclude(saying, in_json)
 }
@@ -82,8 +88,21 @@ fn run(args: RunArgs) -> ExitCode {
 
 fn compare(args: CompareArgs) -> ExitCode {
     let in_json = args.json;
+    let stdout_is_taken = args.shades_to_stdout();
+    if in_json && stdout_is_taken {
+        let what = "the report in JSON and the heat map cannot both go to standard output: name a file";
+        return conclude(Err(Error::usage(what)), true);
+    }
     let comparison = ComparisonSaid::from(args).resolve();
     let outcome = working(|progress| pipeline::compare(&comparison, progress));
+    let saying = |report: ComparisonReport| Saying { stdout_is_taken, ..Saying::new(json(&report), report.lines()) };
+    conclude(outcome.map(saying), in_json)
+}
+
+fn inspect(args: InspectArgs) -> ExitCode {
+    let in_json = args.json;
+    let inspection = InspectionSaid::from(args).resolve();
+    let outcome = working(|progress| pipeline::inspect(&inspection, progress));
     conclude(outcome.map(|report| Saying::new(json(&report), report.lines())), in_json)
 }
 
@@ -113,11 +132,16 @@ fn dry_run(said: JobFile) -> Result<Saying> {
 
 fn make_scan(args: &SynthArgs) -> ExitCode {
     let begun = Instant::now();
+    if args.json && is_stdout(&args.output) {
+        let what = "the report in JSON and the scan cannot both go to standard output: name a file";
+        return conclude(Err(Error::usage(what)), true);
+    }
     let outcome = working(|progress| synth::synth(&args.output, args.faces.0, args.seed, progress)).map(|made| {
+        let stdout_is_taken = is_stdout(&args.output);
         let output = MeshFile { path: args.output.clone(), faces: made.faces, vertices: made.vertices };
         let seconds = begun.elapsed().as_secs_f64();
         let made = Synthesis { output, bytes: made.bytes, seed: args.seed, seconds };
-        Saying::new(json(&made), vec![made.line()])
+        Saying { stdout_is_taken, ..Saying::new(json(&made), vec![made.line()]) }
     });
     conclude(outcome, args.json)
 }
@@ -142,7 +166,11 @@ fn signals() -> Result<Arc<AtomicUsize>> {
 /// Says how it went: with `--json` one object is all that stdout gets.
 fn conclude(outcome: Result<Saying>, in_json: bool) -> ExitCode {
     match outcome {
-        Ok(Saying { object, lines, unmet, code }) => {
+        Ok(Saying { lines, stdout_is_taken: true, .. }) => {
+            tell_stderr(&lines.join("\n"));
+            ExitCode::SUCCESS
+        }
+        Ok(Saying { object, lines, unmet, code, .. }) => {
             let words = lines.join("\n");
             let code = if unmet.is_some() { code } else { 0 };
             if in_json {

@@ -2,23 +2,27 @@
 
 mod compare;
 mod forecast;
+mod inspect;
 mod levels;
 mod portrait;
 mod render;
 
 pub use compare::compare;
 pub use forecast::{Forecast, forecast};
+pub use inspect::inspect;
 pub use portrait::PortraitAsked;
 pub use render::render;
 
+use crate::carry::carry;
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
+use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
-use crate::read::{Crew, LoadReport, Scalar, Scan, load};
+use crate::read::{Carrier, Crew, LoadReport, Scalar, Scan, load};
 use crate::refit::{self, Aim, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
@@ -39,14 +43,15 @@ pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress:
     on_threads(threads, || {
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
-        let out = write::Target::prepare(&job.output, Some(&job.input))?;
-        let prepare = |level: &Level| write::Target::prepare(&level.output, Some(&job.input));
+        let out = write::Target::prepare_as(&job.output, job.format, Some(&job.input))?;
+        let prepare = |level: &Level| write::Target::prepare_as(&level.output, job.format, Some(&job.input));
         let coarser = job.coarser.iter().map(prepare).collect::<Result<Vec<_>>>()?;
-        let scan = Scan::open(&job.input, progress)?;
+        let scratch = job.scratch();
+        let scan = Scan::open_in(&job.input, &scratch, progress)?;
         let asked = job.target.faces(scan.triangle_count());
         let purse = Purse::new(job.memory.0, threads, ask(job, asked));
         let locked = job.lock_vertices.as_deref().map_or(Ok(Vec::new()), read_points)?;
-        let run = Run { job, portrait, threads, progress, scan: &scan, purse, begun, locked };
+        let run = Run { job, portrait, threads, progress, scan: &scan, scratch, purse, begun, locked };
         match scan.scalar() {
             Scalar::F32 => run.through::<f32>(out, coarser),
             Scalar::F64 => run.through::<f64>(out, coarser),
@@ -81,6 +86,7 @@ struct Run<'a> {
     threads: usize,
     progress: &'a Progress,
     scan: &'a Scan,
+    scratch: Scratch,
     purse: Purse,
     begun: Instant,
     /// Points in the scan's units: the vertices nearest to them stay.
@@ -145,14 +151,20 @@ impl Run<'_> {
         if S::DOUBLE && out.loses_doubles() {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
+        let (wanted, lost) = self.columns(out.format());
+        if !lost.is_empty() {
+            warnings.push(Warning::NotCarried { names: lost });
+        }
+        let carried = self.carried(&wanted, &mesh, frame)?;
+        seconds.carry = clock.lap();
         let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
-        out.write_mesh(&mesh, frame, self.progress)?;
+        out.write_carrying(&mesh, frame, &carried, self.progress)?;
         seconds.write = clock.lap();
-        let (mode, cells, ratio, mut scratch_bytes) = match &source {
-            Source::Loaded(_) => (Mode::InCore, None, None, 0),
+        let (mode, cells, ratio) = match &source {
+            Source::Loaded(_) => (Mode::InCore, None, None),
             Source::Clustered(stats) => {
                 let ratio = faces as f64 / output.faces.max(1) as f64;
-                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio), stats.scratch_bytes)
+                (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio))
             }
         };
         let references = reference.filter(|_| !coarser.is_empty()).into_iter().collect();
@@ -162,9 +174,9 @@ impl Run<'_> {
         seconds.render = clock.lap();
         let mut deviation = None;
         if self.job.verify {
-            deviation = Some(self.verify(&self.job.output, portrait.as_mut(), &mut scratch_bytes)?);
+            deviation = Some(self.verify(&self.job.output, portrait.as_mut())?);
             for level in &mut coarser {
-                level.deviation = Some(self.verify(&level.output.path, None, &mut scratch_bytes)?);
+                level.deviation = Some(self.verify(&level.output.path, None)?);
             }
             seconds.measure = clock.lap();
         }
@@ -186,7 +198,7 @@ impl Run<'_> {
             threads: self.threads,
             memory_budget_bytes: self.job.memory.0,
             peak_rss_bytes: peak_rss_bytes(),
-            scratch_bytes,
+            scratch_bytes: self.scratch.bytes(),
             seconds,
             error_estimate: Some(frame.to_file(error_estimate)),
             deviation,
@@ -209,10 +221,6 @@ impl Run<'_> {
                 Ok(None)
             }
         }
-    }
-
-    fn scratch(&self) -> Scratch {
-        Scratch::in_folder(self.job.scratch_folder()).within(self.job.scratch_quota)
     }
 
     /// The scan itself, welded, where it fits the budget; otherwise what clustering makes of it.
@@ -254,8 +262,7 @@ impl Run<'_> {
                 limit,
             };
             self.progress.begin(Stage::Cluster, 0);
-            let scratch = self.scratch();
-            let clustered = cluster::<S>(self.scan, &crew, &scratch, &options)?;
+            let clustered = cluster::<S>(self.scan, &crew, &self.scratch, &options)?;
             if clustered.stats.repeated_corner_faces == self.scan.triangle_count() {
                 return Err(Error::input(self.scan.path(), "has no usable face: none has three distinct corners"));
             }
@@ -304,16 +311,37 @@ impl Run<'_> {
         }
     }
 
+    /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
+    fn columns(&self, format: write::Format) -> (Vec<usize>, Vec<String>) {
+        if !self.job.carry {
+            return (Vec::new(), Vec::new());
+        }
+        let columns = self.scan.columns();
+        let wanted: Vec<usize> = (0..columns.len()).filter(|c| format.holds(columns[*c].meaning)).collect();
+        let is_carried = |name: &str| wanted.iter().any(|c| columns[*c].name == name);
+        let mut lost: Vec<String> = Vec::new();
+        for attribute in self.scan.attributes() {
+            // What OBJ calls one attribute is columns here.
+            let held = if attribute.name == "colour" { !wanted.is_empty() } else { is_carried(&attribute.name) };
+            if !(held && attribute.carrier == Carrier::Vertex || lost.contains(&attribute.name)) {
+                lost.push(attribute.name);
+            }
+        }
+        (wanted, lost)
+    }
+
+    /// What the result's vertices carry.
+    fn carried<S: Coordinate>(&self, wanted: &[usize], mesh: &IndexedMesh<S>, frame: Frame) -> Result<Columns> {
+        if wanted.is_empty() {
+            return Ok(Columns::default());
+        }
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        carry(self.scan, wanted, mesh, frame, &crew)
+    }
+
     /// Measures a file that was written.
-    fn verify(
-        &self,
-        output: &Path,
-        portrait: Option<&mut Portrait>,
-        scratch_bytes: &mut u64,
-    ) -> Result<DeviationFigures> {
-        let scratch = self.scratch();
-        let found = compare::verify(self, output, &scratch, portrait).map_err(|error| self.unverified(error))?;
-        *scratch_bytes = scratch.bytes().max(*scratch_bytes);
+    fn verify(&self, output: &Path, portrait: Option<&mut Portrait>) -> Result<DeviationFigures> {
+        let found = compare::verify(self, output, portrait).map_err(|error| self.unverified(error))?;
         Ok((&found).into())
     }
 

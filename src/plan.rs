@@ -36,9 +36,8 @@ use crate::refit;
 /// allocators keep back.
 const BASE_BYTES: u64 = 12 * MIB;
 
-/// Intermediate : target that is aimed at: 10 is 3 % further from the scan where this is large and noisy, and faster by as
-/// much of the whole run.
-pub const AIM: f64 = 12.0;
+/// Intermediate : target that is aimed at: 12 is 3 % closer to a large and noisy scan, and takes a tenth longer.
+pub const AIM: f64 = 10.0;
 
 /// Intermediate : target below which a budget is refused.
 pub const LEAST_RATIO: f64 = 2.0;
@@ -109,6 +108,11 @@ impl Purse {
         Purse { bytes, ask, workers }
     }
 
+    /// The same with nothing in it: whatever is asked of it is refused, with a budget that would do.
+    pub fn poorest(&self) -> Self {
+        Purse { bytes: 0, ..*self }
+    }
+
     /// What is left for arrays while nothing streams.
     fn for_arrays(&self) -> u64 {
         self.bytes.saturating_sub(BASE_BYTES + most_threads(self.bytes) as u64 * THREAD_BYTES)
@@ -150,7 +154,7 @@ impl Purse {
         let on_scratch = (a_vertex * vertices as f64 / SAMPLE_BYTES as f64) as u64;
         let most = (self.samples_at_once(target) as f64 / SAMPLES_MARGIN) as u64;
         let samples = (refit::SAMPLES as u64).saturating_mul(target).min(on_scratch).min(most);
-        if samples < 2 * (refit::LEAST_SAMPLES as u64).saturating_mul(target) { 0 } else { samples }
+        if samples < (refit::LEAST_SAMPLES as u64 + 1).saturating_mul(target) { 0 } else { samples }
     }
 
     /// How many samples there is room for when a result of so many faces is refitted.

@@ -22,14 +22,16 @@ pub enum Stage {
     Write = 4,
     /// Measuring how far two meshes are from each other.
     Measure = 5,
+    /// Carrying over what vertices carry.
+    Carry = 6,
     /// Taking pictures.
-    Render = 6,
+    Render = 7,
 }
 
 impl Stage {
     /// The stage's word in reports and on the terminal.
     pub fn word(self) -> &'static str {
-        ["read", "cluster", "collapse", "refit", "write", "measure", "render"][self as usize]
+        ["read", "cluster", "collapse", "refit", "write", "measure", "carry", "render"][self as usize]
     }
 }
 
@@ -69,6 +71,7 @@ impl Progress {
             3 => Stage::Refit,
             4 => Stage::Write,
             5 => Stage::Measure,
+            6 => Stage::Carry,
             _ => Stage::Render,
         };
         (stage, self.done.load(Relaxed), self.total.load(Relaxed))

@@ -3,11 +3,13 @@
 //! The JSON keys are a contract with scripts: [`SCHEMA`] changes when one of them does.
 
 mod comparison;
+mod inspection;
 
 pub use comparison::{
     ComparisonReport, ComparisonTimeline, DeviationFigures, HeatmapFile, Shares, WayFigures, WayShares,
 };
 
+pub use inspection::{BoxFigures, InspectionReport, ReductionFigures, SurfaceFigures, UnsaidFigure};
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 use std::fmt;
@@ -118,6 +120,8 @@ pub struct Timeline {
     pub collapse: f64,
     /// Refit.
     pub refit: f64,
+    /// Carrying over what vertices carry.
+    pub carry: f64,
     /// Encoding, syncing, renaming.
     pub write: f64,
     /// Measuring the result; 0 where nobody asked for it.
@@ -131,6 +135,11 @@ pub struct Timeline {
 /// What a user should know about a run that succeeded. Each has a stable code, counts, and a remedy where there is one.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Warning {
+    /// What the scan carries and the result does not.
+    NotCarried {
+        /// By the scan's names.
+        names: Vec<String>,
+    },
     /// Pieces were too small to be kept.
     SmallPieces {
         /// How many.
@@ -228,6 +237,7 @@ impl Warning {
             Warning::LowRatio { .. } => "low-ratio",
             Warning::SmallPieces { .. } => "small-pieces",
             Warning::NoPicture { .. } => "no-picture",
+            Warning::NotCarried { .. } => "not-carried",
         }
     }
 }
@@ -236,6 +246,11 @@ impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Warning::NoPicture { ref why } => write!(f, "no picture was taken: {why}"),
+            Warning::NotCarried { ref names } => {
+                let (shown, more) = (&names[..names.len().min(8)], names.len().saturating_sub(8));
+                let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+                write!(f, "not carried over to the result: {}{more}", shown.join(", "))
+            }
             Warning::TrailingBytes { bytes } => write!(
                 f,
                 "{} after the last element ignored: if the scan looks cut short, its header counts too few",
@@ -331,8 +346,9 @@ impl Report {
         }
         let measure =
             if self.deviation.is_some() { format!(", measure {:.2}", seconds.measure) } else { String::new() };
+        let carry = if seconds.carry >= 0.005 { format!("carry {:.2}, ", seconds.carry) } else { String::new() };
         lines.push(format!(
-            "time     {:.2} s: read {:.2}, cluster {:.2}, collapse {:.2}, refit {:.2}, write {:.2}{measure}; {}",
+            "time     {:.2} s: read {:.2}, cluster {:.2}, collapse {:.2}, refit {:.2}, {carry}write {:.2}{measure}; {}",
             seconds.total,
             seconds.read,
             seconds.cluster,
@@ -534,6 +550,7 @@ mod tests {
                 cluster: 0.5,
                 collapse: 0.5,
                 refit: 0.25,
+                carry: 0.0,
                 write: 0.05,
                 measure: 0.0,
                 render: 0.0,
@@ -554,7 +571,7 @@ mod tests {
             r#"{{"schema":1,"version":"{version}","input":{{"path":"scan.ply","faces":28060000,"vertices":14030002}},"#
         ) + r#""output":{"path":"small.ply","faces":140000,"vertices":70002},"mode":"out-of-core","cells":812345,"#
             + r#""ratio":11.6,"threads":2,"memory_budget_bytes":268435456,"peak_rss_bytes":210763776,"#
-            + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.5,"refit":0.25,"write":0.05,"#
+            + r#""scratch_bytes":112240016,"seconds":{"read":0.1,"cluster":0.5,"collapse":0.5,"refit":0.25,"carry":0.0,"write":0.05,"#
             + r#""measure":0.0,"render":0.0,"total":1.4},"error_estimate":0.012345,"deviation":null,"warnings":[{"code":"trailing-bytes","text":"1 byte after the "#
             + r#"last element ignored: if the scan looks cut short, its header counts too few"}]}"#;
         assert_eq!(json(&report()), expected);

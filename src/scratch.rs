@@ -2,21 +2,25 @@
 //!
 //! They have no name (unlinked, or never linked), so that nothing is left of them however a run ends.
 
-use crate::budget::Size;
+use crate::budget::{MIB, Size};
 use crate::error::{Error, Result};
 use std::fs::File;
-use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// The folder in which a run's scratch files are made, and how much they took.
+/// What all scratch files of a run may hold together when nothing is said: more than a scan of a billion faces takes, and
+/// a bound on what a small compressed file can do to a disk.
+pub const DEFAULT_QUOTA: Size = Size(256 << 30);
+
+/// The folder in which a run's scratch files are made, what they may take, and how much they took.
 #[derive(Debug, Clone)]
 pub struct Scratch {
     folder: Arc<PathBuf>,
+    quota_bytes: u64,
+    memory_bytes: u64,
     counts: Arc<Counts>,
-    quota: u64,
 }
 
 #[derive(Debug, Default)]
@@ -31,12 +35,27 @@ impl Scratch {
     pub fn in_folder(folder: &Path) -> Scratch {
         // The folder that a bare file name is in has the empty path.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        Scratch { folder: Arc::new(folder.to_path_buf()), counts: Arc::default(), quota: u64::MAX }
+        Scratch {
+            folder: Arc::new(folder.to_path_buf()),
+            quota_bytes: DEFAULT_QUOTA.0,
+            memory_bytes: 512 * MIB,
+            counts: Arc::default(),
+        }
     }
 
-    /// Refuses to hold more than so many bytes at one time.
-    pub fn within(self, quota: Option<Size>) -> Scratch {
-        Scratch { quota: quota.map_or(u64::MAX, |Size(bytes)| bytes), ..self }
+    /// With so many bytes for all files together.
+    pub fn with_quota(self, bytes: u64) -> Scratch {
+        Scratch { quota_bytes: bytes, ..self }
+    }
+
+    /// With so many bytes of memory for those that fill it.
+    pub fn with_memory(self, bytes: u64) -> Scratch {
+        Scratch { memory_bytes: bytes, ..self }
+    }
+
+    /// Bytes of memory that who fills it may use.
+    pub fn memory(&self) -> u64 {
+        self.memory_bytes
     }
 
     /// The folder.
@@ -73,21 +92,19 @@ pub struct ScratchFile {
 impl ScratchFile {
     /// Writes all of `bytes` at `offset`.
     pub fn write_all_at(&self, bytes: &[u8], offset: u64) -> Result<()> {
+        let refuse = |e| Error::io(&self.scratch.folder, "cannot write a scratch file in this folder")(e);
         let counts = &self.scratch.counts;
         let end = offset + bytes.len() as u64;
         let before = self.length.fetch_max(end, Relaxed);
         if end > before {
             let held = counts.held.fetch_add(end - before, Relaxed) + (end - before);
-            if held > self.scratch.quota {
-                let quota = Size(self.scratch.quota);
-                let full = io::Error::new(io::ErrorKind::QuotaExceeded, format!("more than the quota of {quota}"));
-                return Err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder")(full));
+            if held > self.scratch.quota_bytes {
+                let what = format!("more than the quota of {} is needed", Size(self.scratch.quota_bytes));
+                return Err(refuse(std::io::Error::new(std::io::ErrorKind::QuotaExceeded, what)));
             }
             counts.peak.fetch_max(held, Relaxed);
         }
-        self.file
-            .write_all_at(bytes, offset)
-            .map_err(Error::io(&self.scratch.folder, "cannot write a scratch file in this folder"))?;
+        self.file.write_all_at(bytes, offset).map_err(refuse)?;
         counts.written.fetch_add(bytes.len() as u64, Relaxed);
         Ok(())
     }
@@ -152,14 +169,18 @@ mod tests {
     }
 
     #[test]
-    fn a_quota_is_kept_and_space_given_back_counts_again() {
+    fn a_quota_is_kept_by_all_files_together() {
         let folder = tempfile::tempdir().unwrap();
-        let scratch = Scratch::in_folder(folder.path()).within(Some(Size(1000)));
-        let file = scratch.file().unwrap();
-        file.write_all_at(&[1; 900], 0).unwrap();
-        assert!(scratch.file().unwrap().write_all_at(&[1; 200], 0).unwrap_err().to_string().contains("quota"));
-        drop(file);
-        scratch.file().unwrap().write_all_at(&[1; 1000], 0).unwrap();
+        let scratch = Scratch::in_folder(folder.path()).with_quota(1000);
+        let (one, two) = (scratch.file().unwrap(), scratch.file().unwrap());
+        one.write_all_at(&[1; 600], 0).unwrap();
+        two.write_all_at(&[2; 400], 0).unwrap();
+        one.write_all_at(&[3; 600], 0).unwrap();
+        let error = two.write_all_at(&[2; 1], 400).unwrap_err();
+        assert!(error.to_string().ends_with("more than the quota of 1MiB is needed"), "{error}");
+        drop(one);
+        let three = scratch.file().unwrap();
+        three.write_all_at(&[2; 500], 0).unwrap();
     }
 
     #[test]

@@ -21,14 +21,24 @@ fn help_and_version_go_to_stdout() {
     meshmill(&["--version"]).assert().success().stdout(version).stderr("");
     let help = meshmill(&["--help"]).assert().success().stderr("").get_output().stdout.clone();
     let help = String::from_utf8(help).unwrap();
-    for word in ["reduce", "run", "compare", "synth", "Exit codes"] {
+    for word in ["reduce", "run", "compare", "inspect", "synth", "Exit codes"] {
         assert!(help.contains(word), "{help}");
     }
     let help = meshmill(&["reduce", "--help"]).assert().success().get_output().stdout.clone();
     let help = String::from_utf8(help).unwrap();
-    for option in
-        ["--output", "--faces", "--ratio", "--max-error", "--memory", "--threads", "--scratch", "--verify", "--json"]
-    {
+    for option in [
+        "--output",
+        "--faces",
+        "--ratio",
+        "--max-error",
+        "--memory",
+        "--threads",
+        "--scratch",
+        "--verify",
+        "--format",
+        "--scratch-quota",
+        "--json",
+    ] {
         assert!(help.contains(option), "{option}: {help}");
     }
     let help = meshmill(&["compare", "--help"]).assert().success().get_output().stdout.clone();
@@ -62,6 +72,13 @@ fn wrong_commands_exit_with_2_and_say_why() {
         (&["reduce", "a.ply", "-o", "b.ply", "--faces", "9", "--memory", "lots"], "not a size"),
         (&["compare", "a.ply"], "<B>"),
         (&["compare", "a.ply", "b.ply", "--samples", "some"], "not a count"),
+        (&["reduce", "a.ply", "-o", "b.off", "--faces", "9"], "only .ply, .stl, .obj and .glb"),
+        (&["reduce", "a.ply", "-o", "b", "--faces", "9"], "ends in .ply, .stl, .obj or .glb"),
+        (&["reduce", "a.ply", "-o", "b.ply", "--faces", "9", "--format", "off"], "ply-ascii"),
+        (&["inspect"], "<IN>"),
+        (&["inspect", "a.ply", "--faces", "9", "--ratio", "1%"], "cannot be used with"),
+        (&["synth", "a.obj", "--faces", "1k"], "a scan is made as .ply or .stl"),
+        (&["synth", "-", "--faces", "1k", "--json"], "cannot both go to standard output"),
         (&["run"], "JOB.toml"),
         (&["synth", "a.ply"], "--faces"),
     ] {

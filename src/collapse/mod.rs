@@ -48,7 +48,7 @@ mod surface;
 mod tail;
 mod weigh;
 
-pub use classify::Irregularities;
+pub use crate::mesh::audit::Irregularities;
 pub use pieces::Dropped;
 pub use policy::{
     Features, FoldCheck, Least, PairDistance, Placement, Policies, Primitive, Quadrics, Topology, Weighting,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{Count, DEFAULT_MEMORY, Threads, cores};
 use crate::budget::Size;
 use crate::measure::{DEFAULT_SAMPLES, MOST_VERTICES};
+use crate::scratch::DEFAULT_QUOTA;
 
 /// A comparison as it was said.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -25,6 +26,8 @@ pub struct ComparisonSaid {
     pub threads: Option<Threads>,
     /// Folder for spills.
     pub scratch: Option<PathBuf>,
+    /// What may be in that folder at one time.
+    pub scratch_quota: Option<Size>,
     /// The mesh to write with the deviation as colours.
     pub heatmap: Option<PathBuf>,
 }
@@ -48,6 +51,8 @@ pub struct Comparison {
     pub threads: usize,
     /// Folder for spills.
     pub scratch: PathBuf,
+    /// What may be in it at one time.
+    pub scratch_quota: Size,
     /// The mesh to write with the deviation as colours.
     pub heatmap: Option<PathBuf>,
 }
@@ -66,6 +71,7 @@ impl ComparisonSaid {
             memory: self.memory.unwrap_or(DEFAULT_MEMORY),
             threads: self.threads.map_or_else(cores, |Threads(n)| n),
             scratch,
+            scratch_quota: self.scratch_quota.unwrap_or(DEFAULT_QUOTA),
             heatmap: self.heatmap,
         }
     }

@@ -86,7 +86,7 @@ pub struct RunTable {
     /// Folder for spills.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scratch: Option<PathBuf>,
-    /// Bound on what spills take at one time.
+    /// What may be in that folder at one time.
     #[serde(default, deserialize_with = "as_written", serialize_with = "write_size")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scratch_quota: Option<Size>,
@@ -178,7 +178,7 @@ pub struct ReportTable {
 
 /// Every key and the table it belongs under, to tell where a misplaced one should go.
 const KEYS: [(&str, &[&str]); 7] = [
-    ("scan", &["input", "exclude", "output", "faces", "ratio", "max_error"]),
+    ("scan", &["input", "exclude", "output", "format", "carry", "faces", "ratio", "max_error"]),
     ("run", &["memory", "threads", "scratch", "scratch_quota"]),
     ("night", &["folder", "workers", "order", "scan_time", "stop_at", "retries", "retry_with_less", "pictures"]),
     ("cluster", &["representative"]),
@@ -244,7 +244,7 @@ impl JobFile {
         KEYS.iter().flat_map(|(_, keys)| keys.iter().copied())
     }
 
-    /// Rewrites every path.
+    /// Rewrites every path, but not standard input and output.
     pub fn move_paths(&mut self, to: impl Fn(&Path) -> PathBuf) {
         self.scan.tables_mut().iter_mut().for_each(|table| table.move_paths(&to));
         let folder = self.night.as_mut().and_then(|night| night.folder.as_mut());

@@ -2,6 +2,7 @@
 
 mod comparison;
 mod file;
+mod inspection;
 mod night;
 mod points;
 mod quantity;
@@ -10,6 +11,7 @@ mod scans;
 
 pub use comparison::{Comparison, ComparisonSaid};
 pub use file::{ClusterTable, CollapseTable, JobFile, RefitTable, ReportTable, RunTable};
+pub use inspection::{Inspection, InspectionSaid};
 pub use night::{NightTable, Order, Span, TimeOfDay};
 pub use points::read_points;
 pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Ratio, Rounds, Threads, Weight};
@@ -24,6 +26,8 @@ use crate::cluster::Representative;
 use crate::collapse::{Features, Placement, Policies, Primitive, Topology};
 use crate::error::{Error, Result};
 use crate::measure::DEFAULT_SAMPLES;
+use crate::scratch::{DEFAULT_QUOTA, Scratch};
+use crate::write::{Format, is_stdout};
 
 /// The budget when none is said: the same on every machine, so that the bytes of a result do not depend on it.
 pub const DEFAULT_MEMORY: Size = Size(512 * MIB);
@@ -115,6 +119,8 @@ pub struct Job {
     pub input: PathBuf,
     /// The mesh to write.
     pub output: PathBuf,
+    /// In which format.
+    pub format: Format,
     /// How far to reduce.
     pub target: Target,
     /// Further meshes, each coarser than the one before it.
@@ -125,14 +131,16 @@ pub struct Job {
     pub threads: usize,
     /// Folder for spills; [`Job::scratch_folder`] fills in the default.
     pub scratch: Option<PathBuf>,
-    /// Bound on what spills take at one time.
-    pub scratch_quota: Option<Size>,
+    /// What may be in it at one time.
+    pub scratch_quota: Size,
     /// How clustering places a cell's vertex.
     pub representative: Representative,
     /// How the collapse is steered; lengths are in the scan's units.
     pub policies: Policies,
     /// A list of points: the vertices nearest to them stay where they are.
     pub lock_vertices: Option<PathBuf>,
+    /// Whether the result gets what the scan's vertices carry.
+    pub carry: bool,
     /// Rounds of refit.
     pub refit_rounds: u32,
     /// Whether the result is measured against the scan.
@@ -166,6 +174,11 @@ impl JobFile {
         let coarser = targets.into_iter().zip(outputs).map(|(target, output)| Level { target, output }).collect();
 
         let policies = self.collapse.policies();
+        if self.collapse.feature_weight.is_some() && self.collapse.feature_angle.is_none() {
+            return Err(Error::usage(
+                "`feature_weight` says how strongly edges are held: say `feature_angle`, from which on",
+            ));
+        }
         let serial = policies.pair_distance.is_some() || policies.primitive == Primitive::Face;
         if serial && (scan.max_error.is_some() || policies.topology == Topology::Preserve) {
             let what = "a pair distance and primitive `face` work on the way to a count of faces";
@@ -185,7 +198,17 @@ impl JobFile {
             None if policies.placement == Placement::Endpoint => 0,
             None => DEFAULT_REFIT_ROUNDS,
         };
+        let format = scan.format.map_or_else(|| Format::of(&output), Ok)?;
+        if is_stdout(&output) {
+            let taken = [(self.report.json, "the report in JSON"), (self.report.verify, "what `verify` measures")];
+            if let Some((_, what)) = taken.into_iter().find(|(asked, _)| *asked == Some(true)) {
+                return Err(Error::usage(format!(
+                    "{what} and the mesh cannot both go to standard output: name a file"
+                )));
+            }
+        }
         Ok(Job {
+            format,
             target,
             coarser,
             input: input.clone(),
@@ -193,10 +216,11 @@ impl JobFile {
             memory: self.run.memory.unwrap_or(DEFAULT_MEMORY),
             threads: self.run.threads.map_or_else(cores, |Threads(n)| n),
             scratch: self.run.scratch,
-            scratch_quota: self.run.scratch_quota,
+            scratch_quota: self.run.scratch_quota.unwrap_or(DEFAULT_QUOTA),
             representative: self.cluster.representative.unwrap_or_default(),
             policies,
             lock_vertices: self.collapse.lock_vertices,
+            carry: scan.carry.unwrap_or(true),
             refit_rounds,
             verify: self.report.verify.unwrap_or(false),
             samples: self.report.samples.map_or(DEFAULT_SAMPLES, |Count(n)| n),
@@ -266,10 +290,15 @@ impl Job {
         }
     }
 
+    /// Where spills go, and how much of them.
+    pub fn scratch(&self) -> Scratch {
+        Scratch::in_folder(self.scratch_folder()).with_quota(self.scratch_quota.0).with_memory(self.memory.0)
+    }
+
     /// The job file that says this job in full: nothing is left to a default.
     pub fn said(&self) -> JobFile {
-        let input = vec![self.input.clone()];
-        let mut scan = ScanTable { input, output: Some(self.output.clone()), ..Default::default() };
+        let (input, output, format) = (vec![self.input.clone()], Some(self.output.clone()), Some(self.format));
+        let mut scan = ScanTable { input, output, format, carry: Some(self.carry), ..Default::default() };
         for target in std::iter::once(self.target).chain(self.coarser.iter().map(|level| level.target)) {
             match target {
                 Target::Faces(n) => scan.faces.push(Count(n)),
@@ -284,7 +313,7 @@ impl Job {
                 memory: Some(self.memory),
                 threads: Some(Threads(self.threads)),
                 scratch: Some(self.scratch_folder().into()),
-                scratch_quota: self.scratch_quota,
+                scratch_quota: Some(self.scratch_quota),
             },
             cluster: ClusterTable { representative: Some(self.representative) },
             collapse: CollapseTable { lock_vertices: self.lock_vertices.clone(), ..self.policies.into() },
@@ -331,6 +360,7 @@ mod tests {
         for policies in [
             "faces = 9\n[collapse]\npair_distance = 'auto'\ntopology = 'preserve'",
             "max_error = 9\n[collapse]\npair_distance = 0.5",
+            "faces = 9\n[collapse]\nfeature_weight = 3",
             "max_error = 9\n[collapse]\nprimitive = 'face'",
             "faces = 9\n[collapse]\nprimitive = 'face'\ncompactness = 0.5",
         ] {

@@ -10,6 +10,7 @@ use std::str::FromStr;
 use super::file::{ClusterTable, CollapseTable, RefitTable, ReportTable, RunTable};
 use super::quantity::{Count, Length, Ratio};
 use super::{Layer, Target};
+use crate::write::{Format, is_stdout};
 
 /// The scans of a job file: one table, or a list of them.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +41,12 @@ pub struct ScanTable {
     /// The mesh to write, or a template for it; its extension names the format.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<PathBuf>,
+    /// The format to write, where the extension does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub format: Option<Format>,
+    /// Whether the result gets what the scan's vertices carry: colours, normals, any other number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub carry: Option<bool>,
     /// Target: this many faces; several make several meshes.
     #[serde(default, deserialize_with = "one_or_more", serialize_with = "write_one_or_more")]
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -125,7 +132,7 @@ impl ScanTable {
 
     /// Rewrites every path. What is excluded is said in patterns of its own.
     pub fn move_paths(&mut self, to: &dyn Fn(&Path) -> PathBuf) {
-        let files = self.input.iter_mut().chain(&mut self.output);
+        let files = self.input.iter_mut().chain(&mut self.output).filter(|path| !is_stdout(path));
         for path in files.chain(&mut self.run.scratch).chain(&mut self.collapse.lock_vertices) {
             *path = to(path);
         }
@@ -141,6 +148,8 @@ impl Layer for ScanTable {
             ratio: target.ratio.clone(),
             max_error: target.max_error,
             output: self.output.or(below.output),
+            format: self.format.or(below.format),
+            carry: self.carry.or(below.carry),
             run: self.run.over(below.run),
             cluster: self.cluster.over(below.cluster),
             collapse: self.collapse.over(below.collapse),

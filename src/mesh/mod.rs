@@ -1,7 +1,9 @@
 //! The meshes that pass between stages, the frame in which their coordinates live, and what is asked of them.
 
 pub mod adjacency;
+pub mod audit;
 pub mod boxes;
+pub mod columns;
 mod frame;
 mod indexed;
 mod reference;

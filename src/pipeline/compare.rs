@@ -22,11 +22,13 @@ pub fn compare(comparison: &Comparison, progress: &Progress) -> Result<Compariso
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = comparison.heatmap.as_deref().map(|path| target(path, comparison)).transpose()?;
-        let a = Scan::open(&comparison.a, progress)?;
-        let b = Scan::open(&comparison.b, progress)?;
+        let scratch = Scratch::in_folder(&comparison.scratch).with_memory(comparison.memory.0);
+        let scratch = scratch.with_quota(comparison.scratch_quota.0);
+        let a = Scan::open_in(&comparison.a, &scratch, progress)?;
+        let b = Scan::open_in(&comparison.b, &scratch, progress)?;
         let pair = Pair { a: &a, b: &b };
         let purse = Purse::new(comparison.memory.0, threads, Ask::default());
-        let run = Run { comparison, threads, progress, pair, purse, begun };
+        let run = Run { comparison, threads, progress, pair, scratch, purse, begun };
         match pair.held().scalar() {
             Scalar::F32 => run.through::<f32>(out),
             Scalar::F64 => run.through::<f64>(out),
@@ -47,6 +49,7 @@ struct Run<'a> {
     threads: usize,
     progress: &'a Progress,
     pair: Pair<'a>,
+    scratch: Scratch,
     purse: Purse,
     begun: Instant,
 }
@@ -58,9 +61,8 @@ impl Run<'_> {
         let options = Options { samples, most_vertices, seed, shades: out.is_some(), array_bytes };
         let mut clock = Clock::new(self.begun);
         let mut seconds = ComparisonTimeline { read: clock.lap(), ..Default::default() };
-        let scratch = Scratch::in_folder(&self.comparison.scratch);
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
-        let measured = measure::<S>(self.pair, &crew, &scratch, &options).map_err(whole_budget)?;
+        let measured = measure::<S>(self.pair, &crew, &self.scratch, &options).map_err(whole_budget)?;
         seconds.measure = clock.lap();
         let heatmap = out.map(|out| self.shade(out, &measured)).transpose()?;
         seconds.write = clock.lap();
@@ -74,7 +76,7 @@ impl Run<'_> {
             threads: self.threads,
             memory_budget_bytes: self.comparison.memory.0,
             peak_rss_bytes: peak_rss_bytes(),
-            scratch_bytes: scratch.bytes(),
+            scratch_bytes: self.scratch.bytes(),
             seconds,
             warnings: [self.pair.a, self.pair.b].into_iter().filter_map(trailing).collect(),
         })
@@ -110,33 +112,23 @@ pub(super) fn check_verifiable<S: Coordinate>(faces: u64, run: &super::Run) -> R
 }
 
 /// Measures a result that was just written against its scan, and shows it on a portrait where there is room for that.
-pub(super) fn verify(
-    run: &super::Run,
-    output: &Path,
-    scratch: &Scratch,
-    portrait: Option<&mut Portrait>,
-) -> Result<Deviation> {
-    let result = Scan::open(output, run.progress)?;
+pub(super) fn verify(run: &super::Run, output: &Path, portrait: Option<&mut Portrait>) -> Result<Deviation> {
+    let result = Scan::open_in(output, &run.scratch, run.progress)?;
     let pair = Pair { a: run.scan, b: &result };
     match pair.held().scalar() {
-        Scalar::F32 => verify_in::<f32>(pair, run, scratch, portrait),
-        Scalar::F64 => verify_in::<f64>(pair, run, scratch, portrait),
+        Scalar::F32 => verify_in::<f32>(pair, run, portrait),
+        Scalar::F64 => verify_in::<f64>(pair, run, portrait),
     }
     .map_err(whole_budget)
 }
 
-fn verify_in<S: Coordinate>(
-    pair: Pair,
-    run: &super::Run,
-    scratch: &Scratch,
-    portrait: Option<&mut Portrait>,
-) -> Result<Deviation> {
+fn verify_in<S: Coordinate>(pair: Pair, run: &super::Run, portrait: Option<&mut Portrait>) -> Result<Deviation> {
     let mut options = options(run).fitted(|options| Needs::of::<S>(&pair, options))?;
     if portrait.is_some() {
         let shaded = Options { shades: true, ..options };
         options = shaded.fitted(|options| Needs::of::<S>(&pair, options)).unwrap_or(options);
     }
-    let measured = measure::<S>(pair, &super::read_crew(&run.purse, run.progress), scratch, &options)?;
+    let measured = measure::<S>(pair, &super::read_crew(&run.purse, run.progress), &run.scratch, &options)?;
     if let Some(portrait) = portrait.filter(|_| options.shades) {
         portrait.show_deviation(&measured);
     }

@@ -47,7 +47,10 @@ impl Run<'_> {
                 warnings.push(Warning::StlLosesDoubles { vertices: chain.mesh.positions.len() as u64 });
             }
             let output = mesh_file(&level.output, chain.mesh.faces.len(), chain.mesh.positions.len());
-            out.write_mesh(&chain.mesh, chain.frame, self.progress)?;
+            let (wanted, _) = self.columns(out.format());
+            let carried = self.carried(&wanted, &chain.mesh, chain.frame)?;
+            seconds.carry += clock.lap();
+            out.write_carrying(&chain.mesh, chain.frame, &carried, self.progress)?;
             seconds.write += clock.lap();
             let error_estimate = Some(chain.frame.to_file(chain.error));
             reports.push(LevelReport { output, error_estimate, deviation: None });

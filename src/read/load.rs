@@ -63,7 +63,7 @@ fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<Loaded<S>
     check_countable(scan, scan.vertex_count())?;
     let positions = scan.vertices(
         crew,
-        || Vec::<[S; 3]>::with_capacity(scan.vertex_count() as usize),
+        || Vec::<[S; 3]>::with_capacity(room(scan, scan.vertex_count())),
         |positions, chunk| {
             positions.extend(chunk.positions.iter().map(|p| p.map(S::narrow)));
             Ok(())
@@ -71,7 +71,7 @@ fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<Loaded<S>
     )?;
     let faces = scan.triangles(
         crew,
-        || Vec::with_capacity(scan.triangle_count() as usize),
+        || Vec::with_capacity(room(scan, scan.triangle_count())),
         |faces, chunk| {
             faces.extend_from_slice(chunk.triangles);
             Ok(())
@@ -123,6 +123,12 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) ->
     let flat_faces = flat_faces(&mesh);
     let report = LoadReport { duplicate_vertices: 0, unreferenced_vertices, repeated_corner_faces, flat_faces, extent };
     Ok(Some((mesh, frame, report)))
+}
+
+/// Room for so many elements, or for as many as the file has bytes: a scene that shows one object many times may have
+/// more, and is then grown into.
+fn room(scan: &Scan, elements: u64) -> usize {
+    elements.min(scan.bytes()) as usize
 }
 
 fn check_countable(scan: &Scan, vertices: u64) -> Result<()> {

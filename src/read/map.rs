@@ -5,6 +5,7 @@
 #![allow(unsafe_code)]
 
 use crate::error::{Error, Result};
+use crate::scratch::ScratchFile;
 use memmap2::{Mmap, MmapOptions};
 use std::fs::File;
 use std::ops::Deref;
@@ -21,9 +22,21 @@ pub(super) struct Input {
     path: PathBuf,
     file: File,
     len: u64,
+    /// What `file` is a handle on, where it is not a file of the user's.
+    unpacked: Option<ScratchFile>,
 }
 
 impl Input {
+    /// What was unpacked from the file at `path`, which errors name.
+    pub fn unpacked(path: &Path, unpacked: ScratchFile) -> Result<Self> {
+        let file = unpacked.as_file().try_clone().map_err(Error::io(path, "cannot read what was unpacked"))?;
+        let len = unpacked.length();
+        if len == 0 {
+            return Err(Error::input(path, "the file is empty"));
+        }
+        Ok(Input { path: path.into(), file, len, unpacked: Some(unpacked) })
+    }
+
     /// Opens a regular, non-empty file. A fifo or device is refused before it is opened, since opening may block.
     pub fn open(path: &Path) -> Result<Self> {
         refuse_unless_regular(path, &std::fs::metadata(path).map_err(Error::io(path, "cannot open"))?)?;
@@ -33,12 +46,17 @@ impl Input {
         if metadata.len() == 0 {
             return Err(Error::input(path, "the file is empty"));
         }
-        Ok(Input { path: path.into(), file, len: metadata.len() })
+        Ok(Input { path: path.into(), file, len: metadata.len(), unpacked: None })
     }
 
     /// Where the file is.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Whether its bytes are in scratch, not at [`path`](Self::path): offsets then mean nothing to the user.
+    pub fn is_unpacked(&self) -> bool {
+        self.unpacked.is_some()
     }
 
     /// Its size when it was opened.

@@ -6,33 +6,50 @@
 //! indexed scan are finite (one that no face uses may be anything), the order in which chunks reach a crew of more than
 //! one worker, and sense from a file that another process changes meanwhile.
 //!
-//! `map` makes bytes visible, `stream` hands them to workers, `cursor` walks what must be read in order; `ply*`, `stl*`
-//! and `ascii` know the formats; [`load`] and [`Scan::sample`] are built on the passes.
+//! `map` makes bytes visible, `spool` unpacks what cannot be mapped, `stream` hands bytes to workers, `cursor` walks what
+//! must be read in order, `lines` makes text divisible; `ply*`, `stl*`, `obj`, `off`, `gltf*` and `ascii` know the formats;
+//! [`load`] and [`Scan::sample`] are built on the passes.
 
 mod ascii;
+mod attribute;
 mod cursor;
+mod gltf;
+mod gltf_json;
+mod gltf_scene;
+mod lines;
 mod load;
 mod map;
+mod obj;
+mod off;
 mod ply;
 mod ply_binary;
 mod ply_header;
 mod ply_records;
 mod sample;
+mod spool;
 mod stl;
 mod stl_ascii;
 mod stream;
 
+pub use attribute::{Attribute, Carrier};
 pub use load::{LoadReport, load, load_peak_bytes};
 pub use sample::Sample;
+pub use spool::{Compression, STDIN};
 pub use stream::Crew;
 
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::Column;
 use crate::progress::Progress;
+use crate::scratch::Scratch;
+use gltf::Gltf;
 use map::Input;
+use obj::ObjText;
+use off::{Carried, OffText};
 use ply::Ply;
 use std::fmt;
 use std::path::Path;
 use stl::Stl;
+use stream::Slots;
 
 /// What coordinates must be stored in to lose nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,7 +63,7 @@ pub enum Scalar {
 /// How faces name their corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// By the number of a vertex (PLY).
+    /// By the number of a vertex (all but STL).
     Indexed,
     /// By three positions (STL).
     Soup,
@@ -65,6 +82,16 @@ pub enum Format {
     StlBinary,
     /// STL, in words.
     StlAscii,
+    /// Wavefront OBJ.
+    Obj,
+    /// OFF, in words.
+    OffAscii,
+    /// OFF, big-endian.
+    OffBinary,
+    /// glTF 2 in one binary file.
+    Glb,
+    /// glTF 2 in JSON, its buffers beside or within it.
+    Gltf,
 }
 
 impl fmt::Display for Format {
@@ -75,6 +102,11 @@ impl fmt::Display for Format {
             Format::PlyAscii => "PLY, ASCII",
             Format::StlBinary => "STL, binary",
             Format::StlAscii => "STL, ASCII",
+            Format::Obj => "OBJ",
+            Format::OffAscii => "OFF, ASCII",
+            Format::OffBinary => "OFF, binary",
+            Format::Glb => "glTF 2, binary",
+            Format::Gltf => "glTF 2, JSON",
         })
     }
 }
@@ -106,32 +138,89 @@ pub struct SoupChunk<'a> {
     pub triangles: &'a [[[f64; 3]; 3]],
 }
 
+/// What becomes of a chunk, given the number of the worker that has it.
+type VertexStep<'a> = dyn Fn(usize, VertexChunk<'_>) -> Result<()> + Sync + 'a;
+type TriangleStep<'a> = dyn Fn(usize, TriangleChunk<'_>) -> Result<()> + Sync + 'a;
+type SoupStep<'a> = dyn Fn(usize, SoupChunk<'_>) -> Result<()> + Sync + 'a;
+
+type CarriedStep<'a> = dyn Fn(usize, CarriedChunk<'_>) -> Result<()> + Sync + 'a;
+
+/// At most 16,384 vertices with what they carry, in the order of the file.
+#[derive(Debug, Clone, Copy)]
+pub struct CarriedChunk<'a> {
+    /// The number of the first.
+    pub first: u64,
+    /// Their coordinates as the file has them, finite or not.
+    pub positions: &'a [[f64; 3]],
+    /// A number of each column a vertex, vertex after vertex; not a number where the file has none.
+    pub values: &'a [f64],
+    /// How many columns there are.
+    pub columns: usize,
+}
+
 /// An open scan.
 #[derive(Debug)]
 pub struct Scan {
     input: Input,
+    compression: Option<Compression>,
     body: Body,
+    columns: Vec<Column>,
 }
 
 #[derive(Debug)]
 enum Body {
     Ply(Box<Ply>),
     Stl(Stl),
+    Obj(Box<ObjText>),
+    Off(Box<OffText>),
+    OffBinary(Box<Ply>, Carried),
+    Gltf(Box<Gltf>),
 }
 
+/// How much of a file is looked at to tell its format.
+const LOOK_BYTES: u64 = 4096;
+
 impl Scan {
-    /// Opens a scan: tells its format by its content, reads the header, checks it against the size of the file and counts
-    /// what the header does not say. That takes a pass over the faces when they are text or not all triangles.
+    /// Opens a scan: tells its format by its content, and by its name where that leaves a doubt, reads the header, checks
+    /// it against the size of the file and counts what the header does not say. That takes a pass over the faces when they
+    /// are text or not all triangles. What would have to be unpacked is refused: see [`open_in`](Self::open_in).
     pub fn open(path: &Path, progress: &Progress) -> Result<Scan> {
-        let input = Input::open(path)?;
-        let mut head = vec![0; input.len().min(stl::HEAD_BYTES) as usize];
+        Self::open_with(path, None, progress)
+    }
+
+    /// Opens a scan that may be compressed, or be standard input: it is then unpacked into `scratch`.
+    pub fn open_in(path: &Path, scratch: &Scratch, progress: &Progress) -> Result<Scan> {
+        Self::open_with(path, Some(scratch), progress)
+    }
+
+    fn open_with(path: &Path, scratch: Option<&Scratch>, progress: &Progress) -> Result<Scan> {
+        let (input, compression) = spool::open(path, scratch, progress)?;
+        let mut head = vec![0; input.len().min(LOOK_BYTES) as usize];
         input.read_at(&mut head, 0)?;
+        let is_named = |name: &str| has_extension(path, name);
         let body = if ply_header::is_ply(&head) {
             Body::Ply(Ply::open(&input, progress)?.into())
+        } else if head.starts_with(gltf::MAGIC) || gltf::is_json(&head) {
+            Body::Gltf(Gltf::open(&input, scratch)?.into())
+        } else if off::keyword(&head).is_some() {
+            match off::open(&input, progress)? {
+                off::Opened::Words(text) => Body::Off(text.into()),
+                off::Opened::Binary(header, carried) => {
+                    Body::OffBinary(Ply::with_header(&input, progress, header)?.into(), carried)
+                }
+            }
+        } else if !Stl::fits(&input, &head) && obj::is_obj(&head, head.len() as u64 == input.len(), is_named("obj")) {
+            Body::Obj(obj::open(&input, progress)?.into())
         } else {
+            head.truncate(stl::HEAD_BYTES as usize);
             Body::Stl(Stl::open(&input, progress, &head)?)
         };
-        Ok(Scan { input, body })
+        let columns = match &body {
+            Body::Ply(ply) => ply.columns(),
+            Body::Obj(text) => text.dialect.columns(),
+            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) | Body::Gltf(_) => Vec::new(),
+        };
+        Ok(Scan { input, compression, body, columns })
     }
 
     /// The file.
@@ -139,72 +228,124 @@ impl Scan {
         self.input.path()
     }
 
-    /// Its format.
+    /// Its format, unpacked.
     pub fn format(&self) -> Format {
         match &self.body {
             Body::Ply(ply) => ply.format(),
             Body::Stl(stl) => stl.format(),
+            Body::Obj(_) => Format::Obj,
+            Body::Off(_) => Format::OffAscii,
+            Body::OffBinary(..) => Format::OffBinary,
+            Body::Gltf(gltf) if gltf.is_binary => Format::Glb,
+            Body::Gltf(_) => Format::Gltf,
         }
+    }
+
+    /// How it was compressed, if it was.
+    pub fn compression(&self) -> Option<Compression> {
+        self.compression
     }
 
     /// Whether faces index vertices.
     pub fn layout(&self) -> Layout {
         match &self.body {
-            Body::Ply(_) => Layout::Indexed,
             Body::Stl(_) => Layout::Soup,
+            _ => Layout::Indexed,
         }
     }
 
     /// What its coordinates must be stored in.
     pub fn scalar(&self) -> Scalar {
+        let fits_f32 = match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.fits_f32(),
+            Body::Stl(_) => true,
+            Body::Obj(text) => text.fits_f32,
+            Body::Off(text) => text.fits_f32,
+            Body::Gltf(gltf) => gltf.fits_f32,
+        };
+        if fits_f32 { Scalar::F32 } else { Scalar::F64 }
+    }
+
+    /// What it carries beside positions and faces, which none of the passes here yields.
+    pub fn attributes(&self) -> Vec<Attribute> {
         match &self.body {
-            Body::Ply(ply) if !ply.fits_f32() => Scalar::F64,
-            _ => Scalar::F32,
+            Body::Ply(ply) => ply.attributes(),
+            Body::Stl(_) => Vec::new(),
+            Body::Obj(text) => text.dialect.attributes(),
+            Body::Off(text) => text.dialect.carried.attributes(),
+            Body::OffBinary(_, carried) => carried.attributes(),
+            Body::Gltf(gltf) => gltf.attributes.clone(),
         }
     }
 
-    /// The size of the file.
+    /// Numbers of its vertices that [`carried`](Self::carried) yields.
+    pub fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+
+    /// What a length of one is, where the format says so.
+    pub fn unit(&self) -> Option<&'static str> {
+        matches!(self.body, Body::Gltf(_)).then_some("metre")
+    }
+
+    /// The size of the file, unpacked, and of those that it refers to.
     pub fn bytes(&self) -> u64 {
-        self.input.len()
+        match &self.body {
+            Body::Gltf(gltf) => gltf.bytes(&self.input),
+            _ => self.input.len(),
+        }
     }
 
     /// Vertices of the file; three a face where faces do not share them.
     pub fn vertex_count(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) => ply.vertex_count(),
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.vertex_count(),
             Body::Stl(stl) => 3 * stl.faces,
+            Body::Obj(text) => text.total.vertices,
+            Body::Off(text) => text.total.vertices,
+            Body::Gltf(gltf) => gltf.vertices,
         }
     }
 
     /// Faces as the file counts them: polygons.
     pub fn face_count(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) => ply.face_count(),
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.face_count(),
             Body::Stl(stl) => stl.faces,
+            Body::Obj(text) => text.total.faces,
+            Body::Off(text) => text.total.faces,
+            Body::Gltf(gltf) => gltf.triangles,
         }
     }
 
     /// Triangles, when polygons are cut into fans; those of fewer than three corners make none.
     pub fn triangle_count(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) => ply.triangles,
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.triangles,
             Body::Stl(stl) => stl.faces,
+            Body::Obj(text) => text.total.triangles,
+            Body::Off(text) => text.total.triangles,
+            Body::Gltf(gltf) => gltf.triangles,
         }
     }
 
     /// Polygons of fewer than three corners, which make no triangle.
     pub fn short_polygons(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) => ply.short_polygons,
-            Body::Stl(_) => 0,
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.short_polygons,
+            Body::Obj(text) => text.total.short_polygons,
+            Body::Off(text) => text.total.short_polygons,
+            Body::Stl(_) | Body::Gltf(_) => 0,
         }
     }
 
     /// Bytes behind the last element, which nobody asked for.
     pub fn trailing_bytes(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) => ply.trailing,
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.trailing,
             Body::Stl(stl) => stl.trailing,
+            Body::Gltf(gltf) => gltf.trailing,
+            Body::Obj(_) | Body::Off(_) => 0,
         }
     }
 
@@ -215,16 +356,56 @@ impl Scan {
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, VertexChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        match &self.body {
-            Body::Ply(ply) => ply.vertices(&self.input, crew, worker, step),
-            Body::Stl(stl) => stl.soup(&self.input, crew, worker, |mine, chunk| {
+        if let Body::Stl(stl) = &self.body {
+            return stl.soup(&self.input, crew, worker, |mine, chunk| {
                 let corners = chunk.triangles.as_flattened();
                 for (i, positions) in corners.chunks(stream::CHUNK).enumerate() {
                     step(mine, VertexChunk { first: 3 * chunk.first + (i * stream::CHUNK) as u64, positions })?;
                 }
                 Ok(())
-            }),
+            });
         }
+        if let Some((ply, run)) = self.ply().and_then(|ply| Some((ply, ply.vertex_run.as_ref()?))) {
+            return ply.vertices_in_run(run, &self.input, crew, worker, step);
+        }
+        let slots = Slots::new(crew, worker);
+        self.vertices_in_order(crew, &|worker, chunk| step(&mut slots.of(worker), chunk))?;
+        Ok(slots.into_inner())
+    }
+
+    /// The PLY records that it consists of, if it does.
+    fn ply(&self) -> Option<&Ply> {
+        match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply, _) => Some(ply),
+            _ => None,
+        }
+    }
+
+    fn vertices_in_order(&self, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
+        match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.vertices_in_order(&self.input, crew, step),
+            Body::Obj(text) => text.vertices(&self.input, crew, step),
+            Body::Off(text) => text.vertices(&self.input, crew, step),
+            Body::Gltf(gltf) => gltf.vertices(&self.input, crew, step),
+            Body::Stl(_) => Err(Error::input(self.path(), "its faces index no vertices")),
+        }
+    }
+
+    /// Streams the vertices with what they carry.
+    pub fn carried<W: Send>(
+        &self,
+        crew: &Crew<'_>,
+        worker: impl Fn() -> W,
+        step: impl Fn(&mut W, CarriedChunk<'_>) -> Result<()> + Sync,
+    ) -> Result<Vec<W>> {
+        let slots = Slots::new(crew, worker);
+        let step = |worker: usize, chunk: CarriedChunk<'_>| step(&mut slots.of(worker), chunk);
+        match &self.body {
+            Body::Ply(ply) => ply.carried(&self.input, crew, &step)?,
+            Body::Obj(text) => text.carried((self.columns.len(), 255.0), &self.input, crew, &step)?,
+            _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
+        }
+        Ok(slots.into_inner())
     }
 
     /// Streams the triangles of an indexed scan.
@@ -234,8 +415,20 @@ impl Scan {
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, TriangleChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
+        if let Some((ply, run)) = self.ply().and_then(|ply| Some((ply, ply.triangle_run.as_ref()?))) {
+            return ply.triangles_in_run(run, &self.input, crew, worker, step);
+        }
+        let slots = Slots::new(crew, worker);
+        self.triangles_in_order(crew, &|worker, chunk| step(&mut slots.of(worker), chunk))?;
+        Ok(slots.into_inner())
+    }
+
+    fn triangles_in_order(&self, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
         match &self.body {
-            Body::Ply(ply) => ply.triangles(&self.input, crew, worker, step),
+            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.triangles_in_order(&self.input, crew, step),
+            Body::Obj(text) => text.triangles(&self.input, crew, step),
+            Body::Off(text) => text.triangles(&self.input, crew, step),
+            Body::Gltf(gltf) => gltf.triangles(&self.input, crew, step),
             Body::Stl(_) => Err(Error::input(self.path(), "its faces index no vertices")),
         }
     }
@@ -248,24 +441,34 @@ impl Scan {
         step: impl Fn(&mut W, SoupChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
         match &self.body {
-            Body::Ply(_) => Err(Error::input(self.path(), "its faces index vertices")),
             Body::Stl(stl) => stl.soup(&self.input, crew, worker, step),
+            _ => Err(Error::input(self.path(), "its faces index vertices")),
         }
     }
 
-    /// An error about a vertex (of a soup: about the face whose corner it is), with its byte where records of one length
-    /// give it.
+    /// An error about a vertex (of a soup: about the face whose corner it is), with its byte where the layout gives it.
     pub fn vertex_error(&self, vertex: u64, what: String) -> Error {
-        let (item, byte) = match &self.body {
-            Body::Ply(ply) => {
-                let item = Item { kind: "vertex", ordinal: vertex };
-                (item, ply.vertex_run.map(|(run, _)| run.byte(vertex)))
-            }
-            Body::Stl(stl) => {
-                let item = Item { kind: "face", ordinal: vertex / 3 };
-                (item, stl.corner_byte(vertex))
-            }
+        let item = match &self.body {
+            Body::Stl(_) => Item { kind: "face", ordinal: vertex / 3 },
+            _ => Item { kind: "vertex", ordinal: vertex },
         };
-        Error::Input { file: self.path().into(), item: Some(item), byte, what }
+        let (file, byte) = match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply, _) => (self.path(), ply.vertex_run.map(|(run, _)| run.byte(vertex))),
+            Body::Stl(stl) => (self.path(), stl.corner_byte(vertex)),
+            Body::Obj(text) => (self.path(), text.vertex_byte(&self.input, vertex)),
+            Body::Off(text) => (self.path(), text.vertex_byte(&self.input, vertex)),
+            Body::Gltf(gltf) => gltf.vertex_place(&self.input, vertex),
+        };
+        Error::Input { file: file.into(), item: Some(item), byte, what }
     }
+}
+
+fn has_extension(path: &Path, extension: &str) -> bool {
+    // Of `scan.obj.gz`, what counts is `obj`.
+    let stem = path.file_stem().map(Path::new).filter(|_| ["gz", "zst"].iter().any(|e| ends_in(path, e)));
+    ends_in(stem.unwrap_or(path), extension)
+}
+
+fn ends_in(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
 }

@@ -6,14 +6,16 @@
 //! faces are counted one by one when the file is opened, and decoded in order by the claiming thread.
 
 use super::ascii::Ascii;
+use super::attribute::Attribute;
 use super::cursor::Cursor;
 use super::map::Input;
-use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord};
-use super::ply_header::{self, Element, Role, Shape};
-use super::ply_records::{Counted, Records};
-use super::stream::{CHUNK, Crew, Run, pump_decoded};
-use super::{Format, TriangleChunk, VertexChunk};
+use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord, decode_column};
+use super::ply_header::{self, Element, Header, Kind, Role, Shape};
+use super::ply_records::{Counted, Records, Row};
+use super::stream::{CHUNK, Crew, Numbering, Run, pump_decoded};
+use super::{CarriedChunk, CarriedStep, Format, TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use ply_rs::ply::Encoding;
 
@@ -45,7 +47,11 @@ pub(super) struct Ply {
 impl Ply {
     /// Reads the header, checks it against the size of the file, and finds and counts what it does not say.
     pub fn open(input: &Input, progress: &Progress) -> Result<Self> {
-        let header = ply_header::read(input)?;
+        Self::with_header(input, progress, ply_header::read(input)?)
+    }
+
+    /// Checks a header, of this format or one that has the same records.
+    pub fn with_header(input: &Input, progress: &Progress, header: Header) -> Result<Self> {
         let find = |kind| header.elements.iter().position(|e| e.kind == kind);
         let refuse = |what: &str| Error::input(input.path(), what);
         let vertex = find("vertex").ok_or_else(|| refuse("has no vertex: the header names no element `vertex`"))?;
@@ -249,6 +255,11 @@ impl Ply {
         })
     }
 
+    /// What vertices and faces carry beside positions and corners.
+    pub fn attributes(&self) -> Vec<Attribute> {
+        [self.vertex.attributes(), self.face.attributes()].concat()
+    }
+
     /// What the format is called.
     pub fn format(&self) -> Format {
         match self.encoding {
@@ -258,71 +269,129 @@ impl Ply {
         }
     }
 
-    /// Streams the vertices.
-    pub fn vertices<W: Send>(
+    /// Streams vertices of one length.
+    pub fn vertices_in_run<W: Send>(
         &self,
+        (run, record): &(Run, VertexRecord),
         input: &Input,
         crew: &Crew<'_>,
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, VertexChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        if let Some((run, record)) = &self.vertex_run {
-            let local = || (worker(), Vec::new());
-            let locals = run.pump(input, crew, local, |(mine, positions), first, bytes| {
-                record.decode(bytes, positions);
-                step(mine, VertexChunk { first, positions })
-            })?;
-            return Ok(locals.into_iter().map(|(mine, _)| mine).collect());
-        }
+        let local = || (worker(), Vec::new());
+        let locals = run.pump(input, crew, local, |(mine, positions), first, bytes| {
+            record.decode(bytes, positions);
+            step(mine, VertexChunk { first, positions })
+        })?;
+        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+    }
+
+    /// Streams vertices that must be read in order.
+    pub fn vertices_in_order(&self, input: &Input, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
         let (path, cursor) = (input.path(), Cursor::new(input, crew.progress, self.vertex_offset));
-        let step = |mine: &mut W, first, positions: &[_]| step(mine, VertexChunk { first, positions });
+        let step = &|worker, first, positions: &[_]| step(worker, VertexChunk { first, positions });
         match self.encoding {
             Encoding::Ascii => {
                 let mut records = Records::<Ascii<'_>>::new(path, &self.vertex, cursor, 0);
-                pump_decoded(crew, |out| records.vertices(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
             Encoding::BinaryBigEndian => {
                 let mut records = Records::<Binary<'_, true>>::new(path, &self.vertex, cursor, 0);
-                pump_decoded(crew, |out| records.vertices(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
             Encoding::BinaryLittleEndian => {
                 let mut records = Records::<Binary<'_, false>>::new(path, &self.vertex, cursor, 0);
-                pump_decoded(crew, |out| records.vertices(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.vertices(CHUNK, out), step)
             }
         }
     }
 
-    /// Streams the triangles.
-    pub fn triangles<W: Send>(
+    /// Numbers that vertices carry.
+    pub fn columns(&self) -> Vec<Column> {
+        self.vertex.columns().into_iter().map(|(_, column)| column).collect()
+    }
+
+    /// Streams the vertices with what they carry.
+    pub fn carried(&self, input: &Input, crew: &Crew<'_>, step: &CarriedStep<'_>) -> Result<()> {
+        let wanted: Vec<usize> = self.vertex.columns().into_iter().map(|(i, _)| i).collect();
+        let columns = wanted.len();
+        let Some((run, record)) = &self.vertex_run else {
+            let (path, cursor) = (input.path(), Cursor::new(input, crew.progress, self.vertex_offset));
+            let step = &|worker, first, rows: &[Row]| {
+                let positions: Vec<[f64; 3]> = rows.iter().map(|row| [row[0], row[1], row[2]]).collect();
+                let values: Vec<f64> = rows.iter().flat_map(|row| &row[3..3 + columns]).copied().collect();
+                step(worker, CarriedChunk { first, positions: &positions, values: &values, columns })
+            };
+            return match self.encoding {
+                Encoding::Ascii => {
+                    let mut records = Records::<Ascii<'_>>::new(path, &self.vertex, cursor, 0);
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                }
+                Encoding::BinaryBigEndian => {
+                    let mut records = Records::<Binary<'_, true>>::new(path, &self.vertex, cursor, 0);
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                }
+                Encoding::BinaryLittleEndian => {
+                    let mut records = Records::<Binary<'_, false>>::new(path, &self.vertex, cursor, 0);
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                }
+            };
+        };
+        let numbers = Numbering::default();
+        let places: Vec<(usize, Kind)> = wanted
+            .iter()
+            .filter_map(|i| match self.vertex.properties[*i].shape {
+                Shape::Scalar(kind) => Some((self.vertex.offset_of(*i), kind)),
+                Shape::List { .. } => None,
+            })
+            .collect();
+        let local = || (numbers.next(), Vec::new(), Vec::new());
+        run.pump(input, crew, local, |(worker, positions, values), first, bytes| {
+            record.decode(bytes, positions);
+            values.clear();
+            values.resize(positions.len() * columns, 0.0);
+            for (c, (offset, kind)) in places.iter().enumerate() {
+                decode_column(bytes, run.stride, (*offset, *kind, record.big), &mut values[c..], columns);
+            }
+            step(*worker, CarriedChunk { first, positions, values, columns })
+        })?;
+        Ok(())
+    }
+
+    /// Streams faces that are all triangles.
+    pub fn triangles_in_run<W: Send>(
         &self,
+        (run, record): &(Run, TriangleRecord),
         input: &Input,
         crew: &Crew<'_>,
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, TriangleChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        if let Some((run, record)) = &self.triangle_run {
-            let local = || (worker(), Vec::new());
-            let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
-                record.decode(bytes, self.vertex.count, triangles).map_err(|bad| face_error(input, run, first, bad))?;
-                step(mine, TriangleChunk { first, triangles })
-            })?;
-            return Ok(locals.into_iter().map(|(mine, _)| mine).collect());
-        }
+        let local = || (worker(), Vec::new());
+        let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
+            record.decode(bytes, self.vertex.count, triangles).map_err(|bad| face_error(input, run, first, bad))?;
+            step(mine, TriangleChunk { first, triangles })
+        })?;
+        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+    }
+
+    /// Streams faces that must be read in order.
+    pub fn triangles_in_order(&self, input: &Input, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
         let (path, vertices) = (input.path(), self.vertex.count);
         let cursor = Cursor::new(input, crew.progress, self.face_offset);
-        let step = |mine: &mut W, first, triangles: &[_]| step(mine, TriangleChunk { first, triangles });
+        let step = &|worker, first, triangles: &[_]| step(worker, TriangleChunk { first, triangles });
         match self.encoding {
             Encoding::Ascii => {
                 let mut records = Records::<Ascii<'_>>::new(path, &self.face, cursor, vertices);
-                pump_decoded(crew, |out| records.triangles(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.triangles(CHUNK, out), step)
             }
             Encoding::BinaryBigEndian => {
                 let mut records = Records::<Binary<'_, true>>::new(path, &self.face, cursor, vertices);
-                pump_decoded(crew, |out| records.triangles(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.triangles(CHUNK, out), step)
             }
             Encoding::BinaryLittleEndian => {
                 let mut records = Records::<Binary<'_, false>>::new(path, &self.face, cursor, vertices);
-                pump_decoded(crew, |out| records.triangles(CHUNK, out), worker, step)
+                pump_decoded(crew, &mut |out| records.triangles(CHUNK, out), step)
             }
         }
     }

@@ -71,6 +71,17 @@ impl VertexRecord {
     }
 }
 
+/// Decodes a number of each of whole records of one length into every so many-th place.
+#[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
+pub(super) fn decode_column(records: &[u8], stride: usize, at: (usize, Kind, bool), out: &mut [f64], every: usize) {
+    let (offset, kind, big) = at;
+    with_kind!(kind, big, |get| {
+        for (value, record) in out.iter_mut().step_by(every).zip(records.chunks_exact(stride)) {
+            *value = get(&record[offset..]).into();
+        }
+    });
+}
+
 #[inline(always)]
 fn xyz_f32(bytes: &[u8]) -> [f64; 3] {
     let xyz: [f32; 3] = bytemuck::pod_read_unaligned(bytes);

@@ -4,10 +4,16 @@
 //! of three line endings and names with odd characters, all of which it refuses; names that nobody here asks for are
 //! replaced by numbers, which also keeps equal ones apart.
 
+use super::attribute::{Attribute, Carrier};
 use super::map::Input;
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::{Column, Meaning, Number};
 use ply_rs::parser::{Parser, Reader};
 use ply_rs::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType};
+use rustc_hash::FxHashMap;
+
+/// The most numbers of a vertex that are carried.
+pub(super) const MOST_COLUMNS: usize = 13;
 
 /// The longest header that is read.
 const HEADER_BYTES: u64 = 1 << 20;
@@ -58,6 +64,25 @@ impl Kind {
         }
     }
 
+    /// The same as others call it.
+    pub fn number(self) -> Number {
+        match self {
+            Kind::I8 => Number::I8,
+            Kind::U8 => Number::U8,
+            Kind::I16 => Number::I16,
+            Kind::U16 => Number::U16,
+            Kind::I32 => Number::I32,
+            Kind::U32 => Number::U32,
+            Kind::F32 => Number::F32,
+            Kind::F64 => Number::F64,
+        }
+    }
+
+    /// What PLY calls it.
+    pub fn word(self) -> &'static str {
+        self.number().word()
+    }
+
     fn of(scalar: &ScalarType) -> Kind {
         match scalar {
             ScalarType::Char => Kind::I8,
@@ -91,10 +116,12 @@ pub(super) enum Shape {
 }
 
 /// A property of an element.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Property {
     pub role: Role,
     pub shape: Shape,
+    /// As the file has it, without what cannot be shown.
+    pub name: String,
 }
 
 /// An element: `count` records of the same properties.
@@ -107,6 +134,43 @@ pub(super) struct Element {
 }
 
 impl Element {
+    /// What its records carry beside positions and corners.
+    pub fn attributes(&self) -> Vec<Attribute> {
+        let carrier = if self.kind == "vertex" { Carrier::Vertex } else { Carrier::Face };
+        let others = self.properties.iter().filter(|p| p.role == Role::Other && !p.name.is_empty());
+        let kind = |shape| match shape {
+            Shape::Scalar(kind) => kind.word().to_string(),
+            Shape::List { count, item } => format!("list {} {}", count.word(), item.word()),
+        };
+        others.map(|p| Attribute::of(carrier, p.name.as_str(), kind(p.shape))).collect()
+    }
+
+    /// The numbers that are carried, and which of the properties they are: as many as there is room for, by names that can be
+    /// written again. Texture coordinates are none: a texture has seams, over which they must not be averaged.
+    pub fn columns(&self) -> Vec<(usize, Column)> {
+        const TEXTURE: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "tx", "ty"];
+        let mut found: Vec<(usize, Column)> = Vec::new();
+        for (i, property) in self.properties.iter().enumerate() {
+            let name = property.name.as_str();
+            let plain = !name.is_empty() && name.bytes().all(|b| b.is_ascii_alphanumeric() || b"_.-".contains(&b));
+            let known = TEXTURE.contains(&name) || found.iter().any(|(_, c)| c.name == name);
+            if let (Role::Other, Shape::Scalar(kind)) = (property.role, property.shape)
+                && plain
+                && !known
+                && found.len() < MOST_COLUMNS
+            {
+                let column = Column { name: name.into(), number: kind.number(), meaning: Meaning::of(name) };
+                found.push((i, column));
+            }
+        }
+        found
+    }
+
+    /// Where in a binary record without lists a property begins.
+    pub fn offset_of(&self, property: usize) -> usize {
+        Element { properties: self.properties[..property].to_vec(), ..*self }.bytes_with(0) as usize
+    }
+
     /// Bytes of a binary record whose lists have `corners` corners and nothing else.
     pub fn bytes_with(&self, corners: u64) -> u64 {
         let bytes = |p: &Property| match (p.shape, p.role) {
@@ -147,11 +211,12 @@ pub(super) fn is_ply(head: &[u8]) -> bool {
 /// Reads the header.
 pub(super) fn read(input: &Input) -> Result<Header> {
     let (bytes, payload) = header_bytes(input)?;
-    let cleaned = Cleaner::new(input).clean(&bytes)?;
+    let mut cleaner = Cleaner::new(input);
+    let cleaned = cleaner.clean(&bytes)?;
     let parsed = Parser::<DefaultElement>::new().read_header(&mut Reader::new(cleaned.as_bytes()));
     let parsed =
         parsed.map_err(|e| Error::input(input.path(), format!("PLY header: {}", first_line(&e.to_string()))))?;
-    let elements = parsed.elements.values().map(element).collect();
+    let elements = parsed.elements.values().map(|def| element(def, &cleaner.names)).collect();
     Ok(Header { encoding: parsed.encoding, payload, elements })
 }
 
@@ -204,7 +269,7 @@ fn line_ending(bytes: &[u8]) -> u8 {
     }
 }
 
-fn element(def: &ElementDef) -> Element {
+fn element(def: &ElementDef, names: &FxHashMap<String, String>) -> Element {
     let kind = match def.name.as_str() {
         "vertex" => "vertex",
         "face" => "face",
@@ -224,7 +289,8 @@ fn element(def: &ElementDef) -> Element {
             ("face", "vertex_index") if !has_indices => Role::Corners,
             _ => Role::Other,
         };
-        Property { role, shape }
+        let name = names.get(name).unwrap_or(name).clone();
+        Property { role, shape, name }
     };
     Element { kind, count: def.count as u64, properties: def.properties.iter().map(property).collect() }
 }
@@ -235,14 +301,22 @@ struct Cleaner<'a> {
     line: Item,
     byte: u64,
     seen: Vec<String>,
+    /// What the numbers stand for that names were replaced by.
+    names: FxHashMap<String, String>,
 }
 
 impl<'a> Cleaner<'a> {
     fn new(input: &'a Input) -> Self {
-        Cleaner { input, line: Item { kind: "header line", ordinal: 0 }, byte: 0, seen: Vec::new() }
+        Cleaner {
+            input,
+            line: Item { kind: "header line", ordinal: 0 },
+            byte: 0,
+            seen: Vec::new(),
+            names: FxHashMap::default(),
+        }
     }
 
-    fn clean(mut self, header: &[u8]) -> Result<String> {
+    fn clean(&mut self, header: &[u8]) -> Result<String> {
         let ending = line_ending(header);
         let mut cleaned = String::new();
         for line in header.split(|&b| b == ending) {
@@ -291,7 +365,9 @@ impl<'a> Cleaner<'a> {
     /// The name, if it is one of those that matter, which must not come twice; else a number.
     fn name(&mut self, what: &str, name: &str, known: &[&str]) -> Result<String> {
         if !known.contains(&name) {
-            return Ok(format!("skipped_{}", self.line.ordinal));
+            let number = format!("skipped_{}", self.line.ordinal);
+            self.names.insert(number.clone(), shown(name));
+            return Ok(number);
         }
         let entry = format!("{what} {name}");
         if self.seen.contains(&entry) {

@@ -4,12 +4,15 @@
 //! every record has the same length nothing of this is used: see `ply_binary`.
 
 use super::cursor::Cursor;
-use super::ply_header::{Element, Kind, Property, Role, Shape};
+use super::ply_header::{Element, Kind, MOST_COLUMNS, Property, Role, Shape};
 use crate::error::{Error, Item, Result};
 use std::path::Path;
 
 /// The most corners of a polygon: far beyond what any tool writes, and a bound on what one record makes us hold.
 pub(super) const MAX_CORNERS: u64 = 65_536;
+
+/// A position, and what is carried with it.
+pub(super) type Row = [f64; 3 + MOST_COLUMNS];
 
 /// Why a number could not be taken.
 #[derive(Debug)]
@@ -130,6 +133,38 @@ impl<'a, V: Values<'a>> Records<'a, V> {
             self.ordinal += 1;
         }
         Ok(self.values.at() - from)
+    }
+
+    /// Appends vertices with the numbers of these properties behind their positions, until there are `most` or no more;
+    /// returns the bytes gone through.
+    pub fn rows(&mut self, wanted: &[usize], most: usize, out: &mut Vec<Row>) -> Result<u64> {
+        let from = self.values.at();
+        while out.len() < most && self.ordinal < self.element.count {
+            let begin = self.values.at();
+            out.push(self.row(wanted).map_err(|fault| self.error(begin, fault))?);
+            self.ordinal += 1;
+        }
+        Ok(self.values.at() - from)
+    }
+
+    fn row(&mut self, wanted: &[usize]) -> Result<Row, Fault> {
+        let mut row = Row::default();
+        let mut next = 0;
+        for (i, property) in self.element.properties.iter().enumerate() {
+            match (property.shape, property.role) {
+                (Shape::Scalar(kind), Role::Axis(axis)) => row[axis] = self.values.number(kind)?,
+                (Shape::Scalar(kind), _) if wanted.get(next) == Some(&i) => {
+                    row[3 + next] = self.values.number(kind)?;
+                    next += 1;
+                }
+                (Shape::Scalar(kind), _) => self.values.skip(kind, 1)?,
+                (Shape::List { count, item }, _) => {
+                    let n = list_length(&mut self.values, count)?;
+                    self.values.skip(item, n)?;
+                }
+            }
+        }
+        Ok(row)
     }
 
     fn vertex(&mut self) -> Result<[f64; 3], Fault> {

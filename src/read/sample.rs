@@ -3,7 +3,7 @@
 //! Where records have one length the sample is read past the map, run by run, which costs a few reads a run; anything else
 //! costs a pass over the file. Memory is that of the sample.
 
-use super::ply::{Ply, face_error};
+use super::ply::face_error;
 use super::stl::{self, Stl};
 use super::stream::Run;
 use super::{Body, Crew, Scan};
@@ -38,12 +38,12 @@ impl Scan {
         let runs = Runs::new(self.triangle_count(), triangles as u64);
         match &self.body {
             Body::Stl(stl) => Ok(Sample { triangles: self.sample_soup(crew, stl, &runs)?, blocks_per_triangle: 0.0 }),
-            Body::Ply(ply) => {
-                let corners = self.sample_corners(crew, ply, &runs)?;
+            _ => {
+                let corners = self.sample_corners(crew, &runs)?;
                 let mut vertices = corners.as_flattened().to_vec();
                 vertices.sort_unstable();
                 vertices.dedup();
-                let positions = self.positions(crew, ply, &vertices)?;
+                let positions = self.positions(crew, &vertices)?;
                 let at = |v: u32| vertices.binary_search(&v).map_or([f64::NAN; 3], |i| positions[i]);
                 let triangles = corners.iter().map(|t| t.map(at)).filter(is_finite).collect();
                 Ok(Sample { triangles, blocks_per_triangle: runs.blocks_per_triangle(&corners) })
@@ -69,8 +69,8 @@ impl Scan {
         Ok(triangles)
     }
 
-    fn sample_corners(&self, crew: &Crew<'_>, ply: &Ply, runs: &Runs) -> Result<Vec<[u32; 3]>> {
-        let Some((run, record)) = &ply.triangle_run else {
+    fn sample_corners(&self, crew: &Crew<'_>, runs: &Runs) -> Result<Vec<[u32; 3]>> {
+        let Some((run, record)) = self.ply().and_then(|ply| ply.triangle_run.as_ref()) else {
             let picked = self.triangles(crew, Vec::new, |picked, chunk| {
                 runs.pick(chunk.first, chunk.triangles, picked);
                 Ok(())
@@ -82,7 +82,7 @@ impl Scan {
             crew.progress.check()?;
             self.read_records(run, first, len, &mut bytes)?;
             record
-                .decode(&bytes, ply.vertex_count(), &mut decoded)
+                .decode(&bytes, self.vertex_count(), &mut decoded)
                 .map_err(|bad| face_error(&self.input, run, first, bad))?;
             triangles.extend_from_slice(&decoded);
         }
@@ -90,8 +90,10 @@ impl Scan {
     }
 
     /// The positions of these vertices, which are in ascending order: by separate reads if those are cheaper than a pass.
-    fn positions(&self, crew: &Crew<'_>, ply: &Ply, vertices: &[u32]) -> Result<Vec<[f64; 3]>> {
-        let Some((run, record)) = &ply.vertex_run else { return self.positions_by_pass(crew, vertices) };
+    fn positions(&self, crew: &Crew<'_>, vertices: &[u32]) -> Result<Vec<[f64; 3]>> {
+        let Some((run, record)) = self.ply().and_then(|ply| ply.vertex_run.as_ref()) else {
+            return self.positions_by_pass(crew, vertices);
+        };
         let near = (GAP_BYTES / run.stride as u64).max(1) as u32;
         let groups = || vertices.chunk_by(|a, b| b - a <= near).flat_map(|group| group.chunks(1024));
         if groups().count() as u64 * READ_COSTS_BYTES > run.count.saturating_mul(run.stride as u64) {

@@ -2,8 +2,8 @@
 
 use super::map::Input;
 use super::stl_ascii;
-use super::stream::{CHUNK, Crew, Run, pump_decoded};
-use super::{Format, SoupChunk};
+use super::stream::{CHUNK, Crew, Run, Slots, pump_decoded};
+use super::{Format, SoupChunk, SoupStep};
 use crate::error::{Error, Item, Result};
 use crate::progress::Progress;
 
@@ -36,7 +36,7 @@ impl Stl {
             _ => None,
         };
         let size = promised.map(|n| HEAD_BYTES + n * FACE_BYTES as u64);
-        let named_stl = input.path().extension().is_some_and(|e| e.eq_ignore_ascii_case("stl"));
+        let named_stl = super::has_extension(input.path(), "stl");
         match (promised, size) {
             (Some(faces), Some(size)) if size == input.len() => Self::binary(input, faces, 0),
             _ if stl_ascii::looks_like_text(input)? => {
@@ -49,6 +49,13 @@ impl Stl {
             (Some(faces), Some(size)) if named_stl => Err(truncated(input, faces, size)),
             _ => Err(foreign(input)),
         }
+    }
+
+    /// Whether a file is exactly as long as its count of faces says, which nothing but a binary STL is.
+    pub fn fits(input: &Input, head: &[u8]) -> bool {
+        let count = head.get(80..84).and_then(|count| count.first_chunk());
+        let faces = count.map(|count| u64::from(u32::from_le_bytes(*count)));
+        faces.is_some_and(|n| n > 0 && HEAD_BYTES + n * FACE_BYTES as u64 == input.len())
     }
 
     fn binary(input: &Input, faces: u64, trailing: u64) -> Result<Self> {
@@ -77,18 +84,24 @@ impl Stl {
         worker: impl Fn() -> W + Sync,
         step: impl Fn(&mut W, SoupChunk<'_>) -> Result<()> + Sync,
     ) -> Result<Vec<W>> {
-        if let Some(run) = &self.run {
-            let local = || (worker(), Vec::new());
-            let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
-                if !decode(bytes, triangles) {
-                    return Err(not_finite(input, run, first, triangles));
-                }
-                step(mine, SoupChunk { first, triangles })
-            })?;
-            return Ok(locals.into_iter().map(|(mine, _)| mine).collect());
-        }
+        let Some(run) = &self.run else {
+            let slots = Slots::new(crew, worker);
+            self.soup_in_order(input, crew, &|worker, chunk| step(&mut slots.of(worker), chunk))?;
+            return Ok(slots.into_inner());
+        };
+        let local = || (worker(), Vec::new());
+        let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
+            if !decode(bytes, triangles) {
+                return Err(not_finite(input, run, first, triangles));
+            }
+            step(mine, SoupChunk { first, triangles })
+        })?;
+        Ok(locals.into_iter().map(|(mine, _)| mine).collect())
+    }
+
+    fn soup_in_order(&self, input: &Input, crew: &Crew<'_>, step: &SoupStep<'_>) -> Result<()> {
         let mut facets = stl_ascii::Facets::new(input, crew.progress);
-        let fill = |out: &mut Vec<_>| {
+        let mut fill = |out: &mut Vec<_>| {
             let from = facets.at();
             while out.len() < CHUNK
                 && let Some(triangle) = facets.next()?
@@ -97,7 +110,7 @@ impl Stl {
             }
             Ok(facets.at() - from)
         };
-        pump_decoded(crew, fill, worker, |mine, first, triangles| step(mine, SoupChunk { first, triangles }))
+        pump_decoded(crew, &mut fill, &|worker, first, triangles| step(worker, SoupChunk { first, triangles }))
     }
 }
 
@@ -135,5 +148,5 @@ fn truncated(input: &Input, faces: u64, size: u64) -> Error {
 }
 
 fn foreign(input: &Input) -> Error {
-    Error::input(input.path(), "is neither a PLY nor an STL file")
+    Error::input(input.path(), "is not a mesh as PLY, STL, OBJ, OFF or glTF have it")
 }

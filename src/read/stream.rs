@@ -14,8 +14,8 @@ use crate::progress::Progress;
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::queue::ArrayQueue;
 use std::panic::resume_unwind;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Claims that wait for a worker.
 const AHEAD: usize = 2;
@@ -100,6 +100,41 @@ fn claim_all<C>(
             Ok(None) => return,
             Err(error) => return failure.record(ordinal, error),
         }
+    }
+}
+
+/// What becomes of items, given the worker's number and that of the first item.
+type Work<'a, T> = dyn Fn(usize, u64, &[T]) -> Result<()> + Sync + 'a;
+
+/// What each worker of a pass owns, by the worker's number. Passes that decode text, or whatever else takes longer than a
+/// call through a pointer a chunk, are compiled once in this way, not once for each of their callers.
+pub(super) struct Slots<W>(Vec<Mutex<W>>);
+
+impl<W> Slots<W> {
+    /// One for each of the crew.
+    pub fn new(crew: &Crew<'_>, worker: impl Fn() -> W) -> Self {
+        Slots((0..crew.workers.max(1)).map(|_| Mutex::new(worker())).collect())
+    }
+
+    /// That of one worker, which nobody else asks for.
+    pub fn of(&self, worker: usize) -> MutexGuard<'_, W> {
+        self.0[worker].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// All of them.
+    pub fn into_inner(self) -> Vec<W> {
+        self.0.into_iter().map(|slot| slot.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
+    }
+}
+
+/// Numbers for the workers of a pass.
+#[derive(Default)]
+pub(super) struct Numbering(AtomicUsize);
+
+impl Numbering {
+    /// The next one.
+    pub fn next(&self) -> usize {
+        self.0.fetch_add(1, SeqCst)
     }
 }
 
@@ -212,13 +247,13 @@ impl Run {
 
 /// Streams what can only be decoded in order (text, records of unequal length): the claiming thread decodes, the workers
 /// use. `fill` appends up to about a chunk of items to the empty buffer it is given and returns the bytes it went through;
-/// none appended means the end. `work` gets the ordinal of the first item of each chunk.
-pub(super) fn pump_decoded<T: Send, L: Send>(
+/// none appended means the end. `work` gets the worker's number and the ordinal of the first item of each chunk.
+pub(super) fn pump_decoded<T: Send>(
     crew: &Crew<'_>,
-    mut fill: impl FnMut(&mut Vec<T>) -> Result<u64>,
-    local: impl Fn() -> L + Sync,
-    work: impl Fn(&mut L, u64, &[T]) -> Result<()> + Sync,
-) -> Result<Vec<L>> {
+    fill: &mut dyn FnMut(&mut Vec<T>) -> Result<u64>,
+    work: &Work<'_, T>,
+) -> Result<()> {
+    let numbers = Numbering::default();
     let spent = ArrayQueue::new(crew.workers.max(1) + AHEAD + 1);
     let mut first = 0;
     let next = || {
@@ -228,15 +263,21 @@ pub(super) fn pump_decoded<T: Send, L: Send>(
         first += claim.1.len() as u64;
         Ok(if claim.1.is_empty() { None } else { Some((claim, bytes)) })
     };
-    pump(crew, next, local, |mine, (first, mut items)| {
-        for (i, chunk) in items.chunks(CHUNK).enumerate() {
-            work(mine, first + (i * CHUNK) as u64, chunk)?;
-        }
-        items.clear();
-        // A full queue only means that the buffer is not needed again.
-        let _ = spent.push(items);
-        Ok(())
-    })
+    let workers = pump(
+        crew,
+        next,
+        || numbers.next(),
+        |mine, (first, mut items)| {
+            for (i, chunk) in items.chunks(CHUNK).enumerate() {
+                work(*mine, first + (i * CHUNK) as u64, chunk)?;
+            }
+            items.clear();
+            // A full queue only means that the buffer is not needed again.
+            let _ = spent.push(items);
+            Ok(())
+        },
+    );
+    workers.map(|_| ())
 }
 
 #[cfg(test)]

@@ -20,8 +20,6 @@ pub(super) trait Evidence<S>: Sync {
     fn point(&self, k: u32) -> Point<S>;
     /// The vertex of the result that a point was near to before anything moved.
     fn near(&self, k: u32) -> Option<u32>;
-    /// Whether a point lies near the one before it.
-    fn follows(&self, k: u32) -> bool;
     /// The place on the finer mesh that is nearest to a point of the result, one of whose faces has point `k`.
     fn back(&self, fine: Ground<S>, at: [S; 3], normal: Vec3, k: u32) -> Option<Place>;
 }
@@ -39,11 +37,6 @@ impl<S: Coordinate> Evidence<S> for Reference<S> {
     fn near(&self, k: u32) -> Option<u32> {
         let homes = self.mesh.faces[k as usize / 3].map(|v| self.homes[v as usize]);
         (k..k + 3).map(|i| homes[i as usize % 3]).find(|&home| home != NONE)
-    }
-
-    /// Three points are so far apart that starting anew finds the nearest place more often.
-    fn follows(&self, _: u32) -> bool {
-        false
     }
 
     fn back(&self, fine: Ground<S>, at: [S; 3], normal: Vec3, k: u32) -> Option<Place> {
@@ -89,11 +82,6 @@ impl<S: Coordinate> Evidence<S> for Scanned<'_> {
         Some(self.samples.samples[k as usize].near)
     }
 
-    fn follows(&self, k: u32) -> bool {
-        let samples = &self.samples.samples;
-        k > 0 && samples[k as usize - 1].near == samples[k as usize].near
-    }
-
     fn back(&self, fine: Ground<S>, at: [S; 3], normal: Vec3, k: u32) -> Option<Place> {
         let origin = *self.origins.get(self.samples.samples[k as usize].near as usize)?;
         (origin != NONE).then(|| fine.near_vertex(at, normal, origin)).flatten()
@@ -120,9 +108,6 @@ impl<S: Coordinate> Point<S> {
     }
 }
 
-/// Samples that are looked up one after the other.
-const RUN: usize = 24;
-
 /// For every sample the face that it is nearest to, and for every face its samples. 8 bytes a sample, 4 a face.
 #[derive(Default)]
 pub(super) struct Samples {
@@ -135,33 +120,18 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// Looks up every sample's nearest face: at first from the face of the one before it or from where its vertex has gone,
-    /// then from the face it had.
+    /// Looks up every sample's nearest face: from where its vertex has gone at first, then from the face it had.
     pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, evidence: &impl Evidence<S>) {
         let at_first = self.faces.is_empty();
         self.faces.resize(evidence.count(), NONE);
-        self.faces.par_chunks_mut(RUN).enumerate().with_min_len(64).for_each(|(run, faces)| {
-            let mut before = NONE;
-            for (i, face) in faces.iter_mut().enumerate() {
-                let k = (run * RUN + i) as u32;
-                let point = evidence.point(k);
-                let from = if !at_first {
-                    *face
-                } else if i > 0 && evidence.follows(k) {
-                    before
-                } else {
-                    NONE
-                };
-                let place = if from != NONE {
-                    ground.near_face(point.at, point.normal, from)
-                } else if at_first {
-                    evidence.near(k).and_then(|v| ground.near_vertex(point.at, point.normal, v))
-                } else {
-                    None
-                };
-                *face = place.map_or(NONE, |place| place.face);
-                before = *face;
-            }
+        self.faces.par_iter_mut().enumerate().with_min_len(1024).for_each(|(k, face)| {
+            let point = evidence.point(k as u32);
+            let place = if at_first {
+                evidence.near(k as u32).and_then(|v| ground.near_vertex(point.at, point.normal, v))
+            } else {
+                (*face != NONE).then(|| ground.near_face(point.at, point.normal, *face)).flatten()
+            };
+            *face = place.map_or(NONE, |place| place.face);
         });
         self.sort(ground.mesh.faces.len());
     }

@@ -51,7 +51,11 @@ pub fn synth(out: &Path, faces: u64, seed: u64, progress: &Progress) -> Result<S
     }
     let faces = faces & !1;
     let vertices = faces / 2 + 2;
-    let header = Header { format: Format::of(out)?, double: false, vertices, faces };
+    let format = Format::of(out)?;
+    if !matches!(format, Format::Ply | Format::Stl) {
+        return Err(Error::usage(format!("{}: a scan is made as .ply or .stl", out.display())));
+    }
+    let header = Header { format, double: false, vertices, faces };
     let head = header.bytes(out)?;
     let target = Target::prepare(out, None)?;
     progress.begin(Stage::Write, header.element_bytes());
@@ -65,7 +69,7 @@ pub fn synth(out: &Path, faces: u64, seed: u64, progress: &Progress) -> Result<S
                 scan.in_order(scan.vertex_pieces(), sink, Scan::ply_vertices)?;
                 scan.in_order(scan.face_pieces(), sink, Scan::ply_faces)
             }
-            Format::Stl => scan.in_order(scan.face_pieces(), sink, Scan::stl_facets),
+            _ => scan.in_order(scan.face_pieces(), sink, Scan::stl_facets),
         }
     })?;
     Ok(SynthReport { faces, vertices, bytes })

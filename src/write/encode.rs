@@ -1,7 +1,8 @@
-//! Bytes of binary PLY and binary STL: headers and records.
+//! Bytes of every format: headers, and records of binary PLY and STL; `text` and `glb` have the others.
 
-use super::{Format, Sink};
+use super::{Format, Sink, glb, text};
 use crate::error::{Error, Result};
+use crate::mesh::columns::{Column, Columns};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use glam::DVec3;
 use std::io::Write;
@@ -20,31 +21,51 @@ pub(crate) struct Header {
     pub faces: u64,
 }
 
+/// What is written.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Contents<'a, S> {
+    pub mesh: &'a IndexedMesh<S>,
+    pub frame: Frame,
+    /// What vertices carry: of no columns, or for every vertex.
+    pub carried: &'a Columns,
+}
+
 impl Header {
     /// The header's bytes; refuses counts that the format cannot hold.
     pub(crate) fn bytes(&self, path: &Path) -> Result<Vec<u8>> {
+        self.bytes_with(path, &[])
+    }
+
+    /// The same where vertices carry numbers.
+    pub(super) fn bytes_with(&self, path: &Path, carried: &[Column]) -> Result<Vec<u8>> {
         let largest = u64::from(u32::MAX);
         let (what, count, remedy) = match self.format {
-            Format::Ply => ("vertices", self.vertices, ""),
+            Format::Ply | Format::PlyAscii => ("vertices", self.vertices, ""),
             Format::Stl => ("faces", self.faces, "; PLY holds more"),
+            // They have no counts, or are refused for their length before these are reached.
+            Format::Obj | Format::Glb | Format::GlbQuantised => ("vertices", 0, ""),
         };
         if count > largest {
             let what = format!("{}: {count} {what} are asked, but its format holds {largest}{remedy}", path.display());
             return Err(Error::usage(what));
         }
         Ok(match self.format {
-            Format::Ply => self.ply().into_bytes(),
+            Format::Ply | Format::PlyAscii => self.ply(carried).into_bytes(),
             Format::Stl => self.stl(count as u32),
+            Format::Obj => format!("# meshmill {}\n", env!("CARGO_PKG_VERSION")).into_bytes(),
+            Format::Glb | Format::GlbQuantised => Vec::new(),
         })
     }
 
-    fn ply(&self) -> String {
+    fn ply(&self, carried: &[Column]) -> String {
         let scalar = if self.double { "double" } else { "float" };
         // Readers that know `int` alone are many; `uint` only where it must be.
         let index = if self.vertices > 1 << 31 { "uint" } else { "int" };
+        let carried: String = carried.iter().map(|c| format!("property {} {}\n", c.number.word(), c.name)).collect();
+        let encoding = if self.format == Format::PlyAscii { "ascii" } else { "binary_little_endian" };
         format!(
-            "ply\nformat binary_little_endian 1.0\ncomment meshmill {}\n\
-             element vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n\
+            "ply\nformat {encoding} 1.0\ncomment meshmill {}\n\
+             element vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n{carried}\
              element face {}\nproperty list uchar {index} vertex_indices\nend_header\n",
             env!("CARGO_PKG_VERSION"),
             self.vertices,
@@ -60,11 +81,13 @@ impl Header {
         bytes
     }
 
-    /// Size of the elements in bytes.
+    /// Size of the elements in bytes; of a text, about.
     pub(crate) fn element_bytes(&self) -> u64 {
         match self.format {
             Format::Ply => self.vertices * if self.double { 24 } else { 12 } + self.faces * 13,
             Format::Stl => self.faces * 50,
+            Format::PlyAscii | Format::Obj => self.vertices * text::VERTEX_BYTES + self.faces * text::FACE_BYTES,
+            Format::Glb | Format::GlbQuantised => glb::element_bytes(self.format, self.vertices, self.faces),
         }
     }
 }
@@ -112,24 +135,39 @@ pub(crate) fn stl_facet(normal: DVec3, corners: [[f32; 3]; 3]) -> [u8; 50] {
     record
 }
 
-/// Streams `mesh` into `sink`, header and all. `path` names the file in errors.
+/// Streams contents into `sink`, header and all. `path` names the file in errors.
 pub(crate) fn encode<S: Coordinate, W: Write>(
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
+    contents: &Contents<'_, S>,
     header: &Header,
     path: &Path,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    sink.put(&header.bytes(path)?)?;
+    sink.put(&header.bytes_with(path, &contents.carried.columns)?)?;
     match header.format {
-        Format::Ply => ply(mesh, frame, sink),
-        Format::Stl => stl(mesh, frame, path, sink),
+        Format::Ply => ply(contents, sink),
+        Format::Stl => stl(contents.mesh, contents.frame, path, sink),
+        Format::PlyAscii | Format::Obj => text::elements(contents, header.format, sink),
+        Format::Glb | Format::GlbQuantised => glb::encode(contents, header.format, path, sink),
     }
 }
 
-fn ply<S: Coordinate, W: Write>(mesh: &IndexedMesh<S>, frame: Frame, sink: &mut Sink<'_, W>) -> Result<()> {
+fn ply<S: Coordinate, W: Write>(contents: &Contents<'_, S>, sink: &mut Sink<'_, W>) -> Result<()> {
+    let Contents { mesh, frame, carried } = *contents;
     let back = |x: S| frame.to_file(x.widen());
-    if S::DOUBLE {
+    if !carried.columns.is_empty() {
+        let mut record = Vec::with_capacity(24 + 8 * carried.columns.len());
+        for (vertex, p) in mesh.positions.iter().enumerate() {
+            record.clear();
+            if S::DOUBLE {
+                record.extend(ply_vertex_double(p.map(back)));
+            } else {
+                record.extend(ply_vertex(p.map(|x| back(x) as f32)));
+            }
+            let values = carried.columns.iter().zip(carried.of(vertex));
+            values.for_each(|(column, value)| column.number.put(*value, &mut record));
+            sink.put(&record)?;
+        }
+    } else if S::DOUBLE {
         sink.put_each(&mesh.positions, |p| Ok(ply_vertex_double(p.map(back))))?;
     } else {
         sink.put_each(&mesh.positions, |p| Ok(ply_vertex(p.map(|x| back(x) as f32))))?;
@@ -173,7 +211,8 @@ mod tests {
         let header =
             Header { format, double: S::DOUBLE, vertices: mesh.positions.len() as u64, faces: mesh.faces.len() as u64 };
         let mut sink = Sink::new(&mut out, Path::new("x"), &progress);
-        encode(mesh, frame, &header, Path::new("x"), &mut sink)?;
+        let contents = Contents { mesh, frame, carried: &Columns::default() };
+        encode(&contents, &header, Path::new("x"), &mut sink)?;
         sink.finish()?;
         assert_eq!(out.len() as u64, header.bytes(Path::new("x"))?.len() as u64 + header.element_bytes());
         Ok(out)

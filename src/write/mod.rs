@@ -1,45 +1,80 @@
-//! Writing: an indexed mesh becomes a binary PLY or STL, whole or not at all.
+//! Writing: an indexed mesh becomes a PLY, STL, OBJ or GLB, whole or not at all.
 //!
 //! Promises: a reader never sees half a file, a failed or interrupted run leaves nothing behind, and coordinates go back
-//! to the file's units exactly. The bytes pass through one buffer of a mebibyte; nothing else is allocated.
+//! to the file's units exactly, as far as the format holds them. The bytes pass through one buffer of a mebibyte; nothing
+//! else is allocated. Standard output gets its first byte when the mesh is ready; a reader of it that sees the end without
+//! the program having exited with 0 has half a file.
 //!
 //! Does not promise: what a `kill -9` leaves behind is a hidden file beside the target, until the next run into the same
 //! folder sweeps it.
 
 mod encode;
+mod glb;
 mod shaded;
 mod sink;
 mod target;
+mod text;
 
 pub(crate) use encode::{Header, ply_face, ply_vertex, stl_facet};
 pub use shaded::Shading;
 pub(crate) use sink::Sink;
-pub use target::{Target, WholeFile, sweep};
+pub use target::{Target, WholeFile, is_stdout, sweep};
 
 use crate::error::{Error, Result};
+use crate::mesh::columns::Meaning;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// What can be written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Format {
     /// Binary little-endian PLY, in the scan's own scalar.
     Ply,
+    /// ASCII PLY, in the scan's own scalar.
+    PlyAscii,
     /// Binary STL: floats, every triangle on its own.
     Stl,
+    /// OBJ.
+    Obj,
+    /// glTF 2 in one binary file: floats, and what they cannot hold of a place far away in the node.
+    Glb,
+    /// The same with positions in 16-bit steps over the extent.
+    GlbQuantised,
 }
 
 impl Format {
-    /// The format that a path's extension asks for.
+    /// The format that a path's extension asks for. Standard output gets a PLY.
     pub fn of(path: &Path) -> Result<Format> {
+        if is_stdout(path) {
+            return Ok(Format::Ply);
+        }
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         match extension.as_deref() {
             Some("ply") => Ok(Format::Ply),
             Some("stl") => Ok(Format::Stl),
-            Some(other) => Err(Error::usage(format!("{}: cannot write .{other}, only .ply and .stl", path.display()))),
+            Some("obj") => Ok(Format::Obj),
+            Some("glb") => Ok(Format::Glb),
+            Some(other) => {
+                Err(Error::usage(format!("{}: cannot write .{other}, only .ply, .stl, .obj and .glb", path.display())))
+            }
             None => Err(Error::usage(format!(
-                "{}: a target's name ends in .ply or .stl, this one in neither",
+                "{}: a target's name ends in .ply, .stl, .obj or .glb, this one in none of them",
                 path.display()
             ))),
+        }
+    }
+}
+
+impl Format {
+    /// Whether it has a place for a column of those that vertices carry.
+    pub fn holds(self, meaning: Meaning) -> bool {
+        match self {
+            Format::Ply | Format::PlyAscii => true,
+            Format::Obj => matches!(meaning, Meaning::Colour(0..3)),
+            Format::Glb => meaning != Meaning::Other,
+            Format::GlbQuantised => matches!(meaning, Meaning::Colour(_)),
+            Format::Stl => false,
         }
     }
 }
@@ -48,7 +83,11 @@ impl std::fmt::Display for Format {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Format::Ply => "PLY, binary little-endian",
+            Format::PlyAscii => "PLY, ASCII",
             Format::Stl => "STL, binary",
+            Format::Obj => "OBJ",
+            Format::Glb => "glTF 2, binary",
+            Format::GlbQuantised => "glTF 2, binary, quantised",
         })
     }
 }
@@ -61,7 +100,10 @@ mod tests {
     fn the_extension_decides_whatever_its_case() {
         assert_eq!(Format::of(Path::new("a.b/c.PLY")).unwrap(), Format::Ply);
         assert_eq!(Format::of(Path::new("x.tmp.Stl")).unwrap(), Format::Stl);
-        for name in ["x.obj", "x", "ply", "stl.d/x", ".ply"] {
+        assert_eq!(Format::of(Path::new("x.OBJ")).unwrap(), Format::Obj);
+        assert_eq!(Format::of(Path::new("x.y.glb")).unwrap(), Format::Glb);
+        assert_eq!(Format::of(Path::new("-")).unwrap(), Format::Ply);
+        for name in ["x.off", "x", "ply", "stl.d/x", ".ply"] {
             let error = Format::of(Path::new(name)).unwrap_err();
             assert_eq!(error.exit_code(), 2, "{name}");
             assert!(error.to_string().contains(".ply") && error.to_string().contains(".stl"), "{error}");

@@ -21,9 +21,10 @@ impl Target {
     pub fn check_holds_colours(&self) -> Result<()> {
         match self.format() {
             Format::Ply => Ok(()),
-            Format::Stl => {
-                Err(Error::usage(format!("{}: a heat map needs colours, which only .ply has", self.path().display())))
-            }
+            _ => Err(Error::usage(format!(
+                "{}: a heat map needs colours, which only a binary .ply gets",
+                self.path().display()
+            ))),
         }
     }
 

@@ -1,13 +1,15 @@
 //! The target of a run: checked before the work, replaced after it, in one step.
 
-use super::encode::{Header, encode};
+use super::encode::{Contents, Header, encode};
 use super::{Format, Sink};
 use crate::error::{Error, Result};
+use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::progress::{Progress, Stage};
 use std::ffi::OsStr;
 use std::fs::{self, File, Metadata, OpenOptions, Permissions};
 use std::io;
+use std::os::fd::AsFd;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
@@ -15,78 +17,43 @@ use tempfile::NamedTempFile;
 const PREFIX: &str = ".meshmill-";
 const SUFFIX: &str = ".tmp";
 
-/// A mesh to be written: a locked temporary file in the target's folder, which becomes the target when it is complete
-/// and vanishes when it is dropped before.
+/// A file to be written, or standard output.
 #[derive(Debug)]
 pub struct Target {
+    path: PathBuf,
     format: Format,
-    whole: WholeFile,
+    place: Place,
 }
 
-/// The same for a file of any kind.
 #[derive(Debug)]
-pub struct WholeFile {
-    path: PathBuf,
-    folder: PathBuf,
-    temporary: NamedTempFile,
+enum Place {
+    /// A locked temporary file in the target's folder, which becomes the target when it is complete and vanishes when it
+    /// is dropped before.
+    Folder {
+        folder: PathBuf,
+        temporary: NamedTempFile,
+    },
+    Stdout,
+}
+
+/// Whether a path stands for standard output.
+pub fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-")
 }
 
 impl Target {
-    /// Checks all that can be checked before any work: the extension, the folder, that `out` is not a folder or anything
+    /// [`prepare_as`](Self::prepare_as), in the format that the extension says.
+    pub fn prepare(out: &Path, input: Option<&Path>) -> Result<Target> {
+        Self::prepare_as(out, Format::of(out)?, input)
+    }
+
+    /// Checks all that can be checked before any work: the folder, that `out` is not a folder or anything
     /// else that cannot be replaced, that it is not `input` under another name; and that a file can be made there.
     /// Temporary files that killed runs left in the folder are removed.
-    pub fn prepare(out: &Path, input: Option<&Path>) -> Result<Target> {
-        Ok(Target { format: Format::of(out)?, whole: WholeFile::prepare(out, input)? })
-    }
-
-    /// Refuses to replace a further input.
-    pub fn check_is_not(&self, input: &Path) -> Result<()> {
-        self.whole.check_is_not(input)
-    }
-
-    /// What will be written.
-    pub fn format(&self) -> Format {
-        self.format
-    }
-
-    /// Where it will be, symbolic links followed.
-    pub fn path(&self) -> &Path {
-        &self.whole.path
-    }
-
-    /// Whether coordinates in doubles would be rounded to floats.
-    pub fn loses_doubles(&self) -> bool {
-        self.format == Format::Stl
-    }
-
-    /// Writes `mesh` in the file's units and puts it in the target's place; the number of bytes.
-    pub fn write_mesh<S: Coordinate>(self, mesh: &IndexedMesh<S>, frame: Frame, progress: &Progress) -> Result<u64> {
-        let header = Header {
-            format: self.format,
-            double: S::DOUBLE,
-            vertices: mesh.positions.len() as u64,
-            faces: mesh.faces.len() as u64,
-        };
-        progress.begin(Stage::Write, header.element_bytes());
-        let path = self.whole.path.clone();
-        self.write_by(progress, |sink| encode(mesh, frame, &header, &path, sink))
-    }
-
-    /// Has `fill` write the contents, then puts them in the target's place; the number of bytes.
-    pub(crate) fn write_by(
-        self,
-        progress: &Progress,
-        fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>,
-    ) -> Result<u64> {
-        self.whole.write_by(progress, fill)
-    }
-}
-
-impl WholeFile {
-    /// Checks all that can be checked before any work: the folder, that `out` is not a folder or anything else that cannot
-    /// be replaced, that it is not `input` under another name; and that a file can be made there. Temporary files that
-    /// killed runs left in the folder are removed.
-    pub fn prepare(out: &Path, input: Option<&Path>) -> Result<WholeFile> {
+    pub fn prepare_as(out: &Path, format: Format, input: Option<&Path>) -> Result<Target> {
+        if is_stdout(out) {
+            return Ok(Target { path: out.into(), format, place: Place::Stdout });
+        }
         let path = resolve(out)?;
         if let Ok(existing) = fs::metadata(&path) {
             check_replaceable(out, &existing)?;
@@ -97,20 +64,110 @@ impl WholeFile {
         let folder = folder_of(&path)?;
         sweep(&folder);
         let temporary = create_locked(&folder)?;
-        Ok(WholeFile { path, folder, temporary })
+        Ok(Target { path, format, place: Place::Folder { folder, temporary } })
     }
 
     /// Refuses to replace a further input.
     pub fn check_is_not(&self, input: &Path) -> Result<()> {
+        if matches!(self.place, Place::Stdout) {
+            return Ok(());
+        }
         match fs::metadata(&self.path) {
             Ok(existing) => check_not_input(&self.path, &existing, input),
             Err(_) => Ok(()),
         }
     }
 
+    /// What will be written.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    /// Where it will be, symbolic links followed.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether coordinates in doubles would be rounded to floats.
+    pub fn loses_doubles(&self) -> bool {
+        self.format == Format::Stl
+    }
+
+    /// Writes `mesh` in the file's units and puts it in the target's place; the number of bytes.
+    pub fn write_mesh<S: Coordinate>(self, mesh: &IndexedMesh<S>, frame: Frame, progress: &Progress) -> Result<u64> {
+        self.write_carrying(mesh, frame, &Columns::default(), progress)
+    }
+
+    /// The same with what its vertices carry, as far as the format holds it.
+    pub fn write_carrying<S: Coordinate>(
+        self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        carried: &Columns,
+        progress: &Progress,
+    ) -> Result<u64> {
+        let header = Header {
+            format: self.format,
+            double: S::DOUBLE,
+            vertices: mesh.positions.len() as u64,
+            faces: mesh.faces.len() as u64,
+        };
+        progress.begin(Stage::Write, header.element_bytes());
+        let path = self.path.clone();
+        let contents = Contents { mesh, frame, carried };
+        self.write_by(progress, |sink| encode(&contents, &header, &path, sink))
+    }
+
+    /// Has `fill` write the contents, then puts them in the target's place; the number of bytes.
+    pub(crate) fn write_by(
+        self,
+        progress: &Progress,
+        fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>,
+    ) -> Result<u64> {
+        let Place::Folder { folder, temporary } = self.place else { return to_stdout(&self.path, progress, fill) };
+        let file = temporary.as_file();
+        let mut sink = Sink::new(file, &self.path, progress);
+        fill(&mut sink)?;
+        let bytes = sink.finish()?;
+        file.sync_all().map_err(Error::io(&self.path, "cannot write"))?;
+        progress.check()?;
+        let replace = Error::io(&self.path, "cannot put the finished file in place");
+        temporary.persist(&self.path).map_err(|e| replace(e.error))?;
+        // The file is whole and in place; some file systems cannot sync a folder, which is no reason to call it failed.
+        let _ = File::open(&folder).and_then(|folder| folder.sync_all());
+        Ok(bytes)
+    }
+}
+
+/// Has `fill` write to standard output.
+fn to_stdout(path: &Path, progress: &Progress, fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>) -> Result<u64> {
+    // A handle of our own on the descriptor: bytes are gathered by the sink already.
+    let stdout = std::io::stdout().as_fd().try_clone_to_owned().map_err(Error::io(path, "cannot write"))?;
+    let file = File::from(stdout);
+    let mut sink = Sink::new(&file, path, progress);
+    fill(&mut sink)?;
+    sink.finish()
+}
+
+/// A file of any kind that is written as meshes are.
+#[derive(Debug)]
+pub struct WholeFile(Target);
+
+impl WholeFile {
+    /// Checks what [`Target::prepare_as`] does.
+    pub fn prepare(out: &Path, input: Option<&Path>) -> Result<WholeFile> {
+        // The format is that of meshes, and nobody asks it here.
+        Target::prepare_as(out, Format::Ply, input).map(WholeFile)
+    }
+
+    /// Refuses to replace a further input.
+    pub fn check_is_not(&self, input: &Path) -> Result<()> {
+        self.0.check_is_not(input)
+    }
+
     /// Writes these bytes and puts them in place.
     pub fn write(self, bytes: &[u8], progress: &Progress) -> Result<u64> {
-        self.write_by(progress, |sink| sink.put(bytes))
+        self.0.write_by(progress, |sink| sink.put(bytes))
     }
 
     /// Has `fill` write the contents, then puts them in place; the number of bytes.
@@ -119,17 +176,7 @@ impl WholeFile {
         progress: &Progress,
         fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>,
     ) -> Result<u64> {
-        let file = self.temporary.as_file();
-        let mut sink = Sink::new(file, &self.path, progress);
-        fill(&mut sink)?;
-        let bytes = sink.finish()?;
-        file.sync_all().map_err(Error::io(&self.path, "cannot write"))?;
-        progress.check()?;
-        let replace = Error::io(&self.path, "cannot put the finished file in place");
-        self.temporary.persist(&self.path).map_err(|e| replace(e.error))?;
-        // The file is whole and in place; some file systems cannot sync a folder, which is no reason to call it failed.
-        let _ = File::open(&self.folder).and_then(|folder| folder.sync_all());
-        Ok(bytes)
+        self.0.write_by(progress, fill)
     }
 }
 

@@ -5,6 +5,8 @@ mod borders;
 mod compare;
 mod counts;
 mod determinism;
+mod formats;
+mod inspect;
 mod interrupt;
 mod job;
 mod memory;
@@ -14,6 +16,7 @@ mod oddities;
 mod precision;
 mod render;
 mod support;
+mod uneven;
 
 /// A budget in which scans of 100,000 faces and more go out of core.
 const TIGHT: &str = "24MiB";

@@ -2,10 +2,14 @@
 
 #![allow(missing_docs)]
 
+mod compressed;
+mod gltf;
+mod gltf_files;
 mod mutate;
 mod oracle;
 mod ply;
 mod stl;
+mod text;
 mod write;
 
 use meshmill::error::{Error, Result};
@@ -33,6 +37,17 @@ impl Scratch {
         let scratch = Scratch::new(name);
         scratch.put(bytes);
         scratch
+    }
+
+    /// Opens it as what may have to be unpacked.
+    pub fn open_in(&self) -> Result<Scan> {
+        self.open_within(1 << 20)
+    }
+
+    /// The same with a quota.
+    pub fn open_within(&self, quota: u64) -> Result<Scan> {
+        let scratch = meshmill::scratch::Scratch::in_folder(self.folder.path()).with_quota(quota).with_memory(1 << 24);
+        Scan::open_in(&self.path(), &scratch, &Progress::default())
     }
 
     pub fn put(&self, bytes: &[u8]) {

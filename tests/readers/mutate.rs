@@ -1,13 +1,16 @@
 //! Seeded mutations of small files of every format: whatever the bytes, an answer in one line, and little memory.
 
+use super::compressed::packed;
+use super::gltf_files;
 use super::write::*;
-use super::{Random, Scratch, peak_mib, stream, told};
+use super::{Random, peak_mib, stream, told};
 use meshmill::Result;
 use meshmill::progress::Progress;
 use meshmill::read::{Crew, Scan, load};
+use meshmill::scratch::Scratch;
 use std::path::Path;
 
-const TURNS: usize = 4_000;
+const TURNS: usize = 6_000;
 
 fn seeds() -> Vec<Vec<u8>> {
     let mut seeds = Vec::new();
@@ -26,11 +29,23 @@ fn seeds() -> Vec<Vec<u8>> {
     }
     seeds.push(binary_stl(b"solid", &roof_soup()));
     seeds.push(ascii_stl("roof", &roof_soup()).into_bytes());
+    let mut obj = String::from("mtllib a.mtl\no roof\n");
+    ROOF.iter().for_each(|[x, y, z]| obj += &format!("v {x} {y} {z}\n"));
+    SIDES.iter().for_each(|s| obj += &format!("f {}/1 {}//2 -{}\n", s[0] + 1, s[1] + 1, 5 - s[2]));
+    seeds.push(obj.into_bytes());
+    let mut off = String::from("COFF\n5 4 0\n");
+    ROOF.iter().for_each(|[x, y, z]| off += &format!("{x} {y} {z} 1 0 0 1\n"));
+    SIDES.iter().for_each(|s| off += &format!("3 {} {} {}\n", s[0], s[1], s[2]));
+    seeds.push(off.into_bytes());
+    seeds.push(gltf_files::roof().glb());
+    seeds.push(gltf_files::roof().embedded().into_bytes());
+    seeds.push(packed(true, &ply(Encoding::Little, &roof())));
+    seeds.push(packed(false, &binary_stl(b"", &roof_soup())));
     seeds
 }
 
 fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
-    const WORDS: [&[u8]; 16] = [
+    const WORDS: [&[u8]; 22] = [
         b"4294967296",
         b"18446744073709551615",
         b"-1",
@@ -47,6 +62,12 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
         b"\xff\xff\xff\xff",
         b"\0\0\0\0",
         b"endsolid\nsolid\n",
+        b"\nf -1 -2 -3\n",
+        b"\\\n",
+        b"OFF BINARY\n",
+        b"\"byteStride\":4,",
+        b"\"mode\":5,",
+        b"\"children\":[0],",
     ];
     for _ in 0..1 + random.below(2) {
         if bytes.is_empty() {
@@ -80,7 +101,9 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>) {
 fn use_all(path: &Path, workers: usize) -> Result<()> {
     let progress = Progress::default();
     let crew = Crew { workers, progress: &progress };
-    let scan = Scan::open(path, &progress)?;
+    let folder = path.parent().unwrap();
+    let scratch = Scratch::in_folder(folder).with_quota(1 << 24).with_memory(1 << 24);
+    let scan = Scan::open_in(path, &scratch, &progress)?;
     let content = stream(&scan, workers)?;
     let sample = scan.sample(&crew, 100)?;
     assert!(sample.triangles.len() <= content.triangles.len() + content.soup.len());
@@ -94,7 +117,7 @@ fn use_all(path: &Path, workers: usize) -> Result<()> {
 #[test]
 fn no_bytes_do_harm() {
     let (seeds, mut random) = (seeds(), Random(2026));
-    let file = Scratch::new("mutant.stl");
+    let file = super::Scratch::new("mutant.stl");
     let (mut read, mut refused) = (0, 0);
     for turn in 0..TURNS {
         let mut bytes = seeds[turn % seeds.len()].clone();

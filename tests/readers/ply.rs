@@ -269,7 +269,7 @@ fn a_file_cut_at_any_byte_is_refused() {
             for len in 0..shortest {
                 let what = complaint("cut.ply", &bytes[..len]);
                 assert!(
-                    ["ends", "end_header", "neither", "empty"].iter().any(|word| what.contains(word)),
+                    ["ends", "end_header", "is not a mesh", "empty"].iter().any(|word| what.contains(word)),
                     "{len} of {}: {what}",
                     bytes.len()
                 );

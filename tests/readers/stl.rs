@@ -47,7 +47,7 @@ fn binary_that_is_broken() {
             )
         );
     }
-    assert_eq!(complaint("cut.stl", &bytes[..83]), "is neither a PLY nor an STL file");
+    assert_eq!(complaint("cut.stl", &bytes[..83]), "is not a mesh as PLY, STL, OBJ, OFF or glTF have it");
     assert_eq!(complaint("none.stl", &binary_stl(b"", &[])), "has no faces: the header counts 0");
     let mut soup = roof_soup();
     soup[2][1][2] = f64::NAN;
@@ -115,7 +115,7 @@ fn text_that_is_broken() {
 #[test]
 fn what_is_foreign() {
     let png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x02\0\0\0\x02\0\x08\x06\0\0\0".repeat(40);
-    for bytes in [&b"x"[..], b"plywood", &b"# a Wavefront file\nv 0 0 0\n".repeat(99), &png, &[0; 1000]] {
-        assert_eq!(complaint("foreign.bin", bytes), "is neither a PLY nor an STL file");
+    for bytes in [&b"x"[..], b"plywood", &b"# a comment\nvoid f(0) {\n".repeat(99), &png, &[0; 1000]] {
+        assert_eq!(complaint("foreign.bin", bytes), "is not a mesh as PLY, STL, OBJ, OFF or glTF have it");
     }
 }

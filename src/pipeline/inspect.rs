@@ -1,0 +1,88 @@
+//! A scan opened, looked through, and reported.
+
+use super::on_threads;
+use crate::collapse::{self, Policies};
+use crate::error::{Error, Result};
+use crate::inspect::inspect as look_through;
+use crate::job::{DEFAULT_REFIT_ROUNDS, Inspection};
+use crate::plan::{Ask, Purse, most_threads, streaming_budget};
+use crate::progress::{Progress, Stage};
+use crate::read::{Crew, Scalar, Scan};
+use crate::report::{
+    BoxFigures, InspectionReport, Mode, ReductionFigures, SurfaceFigures, UnsaidFigure, peak_rss_bytes,
+};
+use crate::scratch::Scratch;
+use std::time::Instant;
+
+/// Seconds that a reduction takes for each face of the scan, measured on two cores on a scan of 27.6 M faces: 18 s in core,
+/// 6.3 s out of core.
+const IN_CORE_SECONDS: f64 = 6.5e-7;
+const OUT_OF_CORE_SECONDS: f64 = 2.3e-7;
+
+/// Says what is in a scan.
+pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<InspectionReport> {
+    let threads = inspection.threads.min(most_threads(inspection.memory.0));
+    on_threads(threads, || {
+        let begun = Instant::now();
+        progress.begin(Stage::Read, 0);
+        let scratch = Scratch::in_folder(&inspection.scratch).with_memory(inspection.memory.0);
+        let scratch = scratch.with_quota(inspection.scratch_quota.0);
+        let scan = Scan::open_in(&inspection.input, &scratch, progress)?;
+        let faces = inspection.target.faces(scan.triangle_count()).unwrap_or(0).max(1);
+        let policies = Policies::default();
+        let ask = Ask {
+            target: faces,
+            refit_rounds: DEFAULT_REFIT_ROUNDS,
+            tail_bytes: collapse::tail_bytes(faces, &policies),
+        };
+        let purse = Purse::new(inspection.memory.0, threads, ask);
+        let crew = Crew { workers: purse.workers, progress };
+        progress.begin(Stage::Read, scan.bytes());
+        let room = purse.while_streaming();
+        let (found, reduction) = match scan.scalar() {
+            Scalar::F32 => (look_through::<f32>(&scan, &crew, &scratch, room), reduction::<f32>(&scan, &purse, faces)),
+            Scalar::F64 => (look_through::<f64>(&scan, &crew, &scratch, room), reduction::<f64>(&scan, &purse, faces)),
+        };
+        let found = found?;
+        Ok(InspectionReport {
+            path: inspection.input.clone(),
+            format: scan.format().to_string(),
+            compression: scan.compression(),
+            bytes: scan.bytes(),
+            faces: scan.face_count(),
+            triangles: scan.triangle_count(),
+            vertices: scan.vertex_count(),
+            coordinates: if scan.scalar() == Scalar::F64 { "double" } else { "float" },
+            unit: scan.unit(),
+            attributes: scan.attributes(),
+            extent: BoxFigures::of(&found.extent),
+            surface: SurfaceFigures::of(&found, scan.short_polygons(), scan.trailing_bytes()),
+            unsaid: found.unsaid.iter().map(|unsaid| UnsaidFigure::of(unsaid, streaming_budget)).collect(),
+            reduction,
+            threads,
+            memory_budget_bytes: inspection.memory.0,
+            peak_rss_bytes: peak_rss_bytes(),
+            scratch_bytes: scratch.bytes(),
+            seconds: begun.elapsed().as_secs_f64(),
+        })
+    })
+}
+
+/// What a reduction to so many faces would take, asked of the plan that would make it.
+fn reduction<S: crate::mesh::Coordinate>(scan: &Scan, purse: &Purse, faces: u64) -> ReductionFigures {
+    let in_core_bytes = purse.in_core_budget::<S>(scan);
+    let mode = if purse.in_core::<S>(scan).is_some() {
+        Some(Mode::InCore)
+    } else {
+        purse.out_of_core::<S>(scan, Some(faces)).is_ok().then_some(Mode::OutOfCore)
+    };
+    let least_bytes = match purse.poorest().out_of_core::<S>(scan, Some(faces)) {
+        Err(Error::Budget { needed_bytes, .. }) => needed_bytes,
+        _ => in_core_bytes,
+    };
+    let seconds = mode.map(|mode| {
+        let each = if mode == Mode::InCore { IN_CORE_SECONDS } else { OUT_OF_CORE_SECONDS };
+        scan.triangle_count() as f64 * each
+    });
+    ReductionFigures { faces, mode, seconds, in_core_bytes, least_bytes }
+}

@@ -1,0 +1,231 @@
+//! OFF, the Object File Format of Geomview: counts, then a vertex a line, then a face a line.
+//!
+//! `COFF`, `NOFF`, `STOFF` and their like have more numbers a vertex, behind the coordinates; a face may have colours
+//! behind its corners. `OFF BINARY` is big-endian, and made of the same records as a PLY file: it is read as one.
+
+use super::attribute::{Attribute, Carrier};
+use super::lines::{Dialect, Line, Text, Wrong, integer, unexpected, words};
+use super::map::Input;
+use super::ply_header::{Element, Header, Kind, Property, Role, Shape, shown};
+use super::ply_records::no_such_vertex;
+use crate::error::{Error, Item, Result};
+use crate::progress::Progress;
+use ply_rs::ply::Encoding;
+
+/// How far the counts may be from the beginning of the file: comments may come first.
+const HEAD_BYTES: u64 = 1 << 16;
+
+/// An open OFF file in words.
+pub(super) type OffText = Text<Off>;
+
+/// The dialect: which lines are what follows from the counts.
+#[derive(Debug)]
+pub(super) struct Off {
+    pub vertices: u64,
+    pub faces: u64,
+    pub carried: Carried,
+}
+
+/// What vertices carry, by the letters before `OFF`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Carried {
+    uvs: bool,
+    colours: bool,
+    normals: bool,
+}
+
+impl Carried {
+    /// As names and types.
+    pub fn attributes(self) -> Vec<Attribute> {
+        let all = [(self.normals, "normal", "3"), (self.colours, "colour", "3 or 4"), (self.uvs, "texture", "2")];
+        let there = all.into_iter().filter(|(there, ..)| *there);
+        there.map(|(_, name, n)| Attribute::of(Carrier::Vertex, name, format!("{n} numbers"))).collect()
+    }
+}
+
+/// What the first word says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Keyword {
+    carried: Carried,
+    /// Bytes of it.
+    len: usize,
+}
+
+/// The keyword that a file begins with, behind comments.
+pub(super) fn keyword(head: &[u8]) -> Option<(usize, Keyword)> {
+    let mut at = if head.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
+    loop {
+        at += head[at..].iter().position(|b| !b.is_ascii_whitespace())?;
+        if head[at] != b'#' {
+            break;
+        }
+        at += head[at..].iter().position(|b| matches!(b, b'\n' | b'\r'))?;
+    }
+    let mut rest = &head[at..];
+    let mut take = |prefix: &[u8]| rest.strip_prefix(prefix).inspect(|after| rest = after).is_some();
+    let carried = Carried { uvs: take(b"ST"), colours: take(b"C"), normals: take(b"N") };
+    if !take(b"OFF") {
+        return None;
+    }
+    // Some write the counts without a space behind the keyword.
+    let apart = rest.first().is_none_or(|b| b.is_ascii_whitespace() || b.is_ascii_digit() || *b == b'#');
+    let len = head.len() - at - rest.len();
+    apart.then_some((at, Keyword { carried, len }))
+}
+
+/// An OFF file of either kind.
+pub(super) enum Opened {
+    Words(OffText),
+    /// To be read as a PLY file with such a header.
+    Binary(Header, Carried),
+}
+
+/// Reads the counts, and counts what they do not say.
+pub(super) fn open(input: &Input, progress: &Progress) -> Result<Opened> {
+    let mut head = vec![0; input.len().min(HEAD_BYTES) as usize];
+    input.read_at(&mut head, 0)?;
+    let Some((at, Keyword { carried, len })) = keyword(&head) else {
+        return Err(Error::input(input.path(), "does not begin with `OFF`"));
+    };
+    let behind = at + len;
+    if let Some(payload) = binary_payload(&head, behind) {
+        return binary(input, &head, payload, carried).map(|header| Opened::Binary(header, carried));
+    }
+    let (counts, payload) = counts(input, &head, behind)?;
+    let [vertices, faces] = counts;
+    check(input, vertices, faces)?;
+    // A character and the end of the line each, at the least.
+    if u128::from(vertices) + u128::from(faces) > u128::from(input.len() - payload).div_ceil(2) {
+        let what = format!("its {vertices} vertices and {faces} faces need more lines than {} bytes hold", input.len());
+        return Err(Error::input(input.path(), what));
+    }
+    let text = Text::open(input, progress, Off { vertices, faces, carried }, payload)?;
+    let found = text.total;
+    if (found.vertices, found.faces) != (vertices, faces) {
+        let (kind, ordinal) =
+            if found.vertices < vertices { ("vertex", found.vertices) } else { ("face", found.faces) };
+        let what = format!("the file ends before it, but the header counts {vertices} vertices and {faces} faces");
+        return Err(Error::input_at(input.path(), Item { kind, ordinal }, input.len(), what));
+    }
+    if found.triangles == 0 {
+        return Err(Error::input(input.path(), "has no usable face: every polygon has fewer than three corners"));
+    }
+    Ok(Opened::Words(text))
+}
+
+fn check(input: &Input, vertices: u64, faces: u64) -> Result<()> {
+    match (vertices, faces) {
+        (0, _) => Err(Error::input(input.path(), "has no vertex: the header counts 0")),
+        (_, 0) => Err(Error::input(input.path(), "has no faces: the header counts 0")),
+        _ => Ok(()),
+    }
+}
+
+/// The counts of vertices and faces behind byte `at`, and where the line after them begins. That of edges may be missing.
+fn counts(input: &Input, head: &[u8], mut at: usize) -> Result<([u64; 2], u64)> {
+    loop {
+        let len = head[at..].iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(head.len() - at);
+        let mut numbers = words(&head[at..at + len]);
+        let end = (at + len + 1).min(head.len());
+        if let Some(first) = numbers.next() {
+            let count = |word: Option<&[u8]>| {
+                let number = word.and_then(integer).and_then(|n| u64::try_from(n).ok());
+                number.ok_or_else(|| {
+                    let word = shown(&String::from_utf8_lossy(word.unwrap_or_default()));
+                    let item = Item { kind: "header line at byte", ordinal: at as u64 };
+                    let what = format!("`{word}`, expected the counts of vertices, faces and edges");
+                    Error::input_at(input.path(), item, at as u64, what)
+                })
+            };
+            return Ok(([count(Some(first))?, count(numbers.next())?], end as u64));
+        }
+        if len == head.len() - at {
+            return Err(Error::input(input.path(), "has no counts of vertices, faces and edges behind `OFF`"));
+        }
+        at = end;
+    }
+}
+
+/// Where the counts of a binary file are, if it is one.
+fn binary_payload(head: &[u8], behind: usize) -> Option<usize> {
+    let len = head[behind..].iter().position(|b| *b == b'\n')?;
+    let line = head[behind..behind + len].trim_ascii();
+    (line == b"BINARY").then_some(behind + len + 1)
+}
+
+/// A header that says of a PLY file what this one is.
+fn binary(input: &Input, head: &[u8], payload: usize, carried: Carried) -> Result<Header> {
+    let Some(counts) = head.get(payload..payload + 12) else {
+        return Err(Error::input(input.path(), "ends before its counts of vertices, faces and edges"));
+    };
+    let count = |i: usize| {
+        let n = i32::from_be_bytes([counts[i], counts[i + 1], counts[i + 2], counts[i + 3]]);
+        u64::try_from(n).map_err(|_| Error::input(input.path(), format!("counts {n} vertices or faces")))
+    };
+    let (vertices, faces) = (count(0)?, count(4)?);
+    let number = |role| Property { role, shape: Shape::Scalar(Kind::F32), name: String::new() };
+    let extra = 3 * usize::from(carried.normals) + 4 * usize::from(carried.colours) + 2 * usize::from(carried.uvs);
+    let axes = (0..3).map(|axis| number(Role::Axis(axis)));
+    let vertex = axes.chain((0..extra).map(|_| number(Role::Other))).collect();
+    let list = |role, item| Property { role, shape: Shape::List { count: Kind::I32, item }, name: String::new() };
+    let face = vec![list(Role::Corners, Kind::I32), list(Role::Other, Kind::F32)];
+    Ok(Header {
+        encoding: Encoding::BinaryBigEndian,
+        payload: payload as u64 + 12,
+        elements: vec![
+            Element { kind: "vertex", count: vertices, properties: vertex },
+            Element { kind: "face", count: faces, properties: face },
+        ],
+    })
+}
+
+impl Dialect for Off {
+    #[inline]
+    fn sort<'a>(&self, line: &'a [u8], ordinal: u64) -> Line<'a> {
+        if ordinal < self.vertices {
+            Line::Vertex(line)
+        } else if ordinal - self.vertices < self.faces {
+            Line::Face(line)
+        } else {
+            Line::Other
+        }
+    }
+
+    #[inline]
+    fn count<'a>(&self, face: &'a [u8]) -> Result<u64, Wrong<'a>> {
+        let Some(word) = words(face).next() else { return Ok(0) };
+        let count = integer(word).and_then(|n| u64::try_from(n).ok());
+        count.ok_or_else(|| unexpected(word, "how many corners the face has"))
+    }
+
+    fn corners<'a>(&self, face: &'a [u8], _: u64, vertices: u64, out: &mut Vec<u32>) -> Result<(), Wrong<'a>> {
+        let mut words = words(face);
+        let n = words.next().and_then(integer).unwrap_or(0);
+        for _ in 0..n {
+            let word = words.next().ok_or_else(|| (face, format!("fewer corners than {n}")))?;
+            let index = integer(word).ok_or_else(|| unexpected(word, "a vertex index"))?;
+            if index < 0 || index as u64 >= vertices.min(1 << 32) {
+                return Err((word, no_such_vertex(index, vertices)));
+            }
+            out.push(index as u32);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keywords_say_what_vertices_carry() {
+        let carried = |head: &[u8]| keyword(head).map(|(at, k)| (at, k.len, k.carried));
+        assert_eq!(carried(b"OFF\n"), Some((0, 3, Carried::default())));
+        assert_eq!(carried(b"# made\r\n OFF8 6 12"), Some((9, 3, Carried::default())));
+        let all = Carried { uvs: true, colours: true, normals: true };
+        assert_eq!(carried(b"STCNOFF BINARY\n"), Some((0, 7, all)));
+        for foreign in [&b"OFFER"[..], b"4OFF", b"nOFF", b"off", b"", b"#", b"CN"] {
+            assert_eq!(carried(foreign), None);
+        }
+    }
+}
