@@ -62,6 +62,8 @@ pub struct Level {
     pub target: Target,
     /// The mesh to write.
     pub output: PathBuf,
+    /// In which format.
+    pub format: Format,
 }
 
 impl Target {
@@ -171,7 +173,12 @@ impl JobFile {
         let target = targets.remove(0);
         let mut outputs = outputs.into_iter();
         let output = outputs.next().unwrap_or_default();
-        let coarser = targets.into_iter().zip(outputs).map(|(target, output)| Level { target, output }).collect();
+        let format_of = |output: &Path| scan.format.map_or_else(|| Format::of(output), Ok);
+        let level = |(target, output): (Target, PathBuf)| {
+            let format = format_of(&output)?;
+            Ok(Level { target, output, format })
+        };
+        let coarser = targets.into_iter().zip(outputs).map(level).collect::<Result<_>>()?;
 
         let policies = self.collapse.policies();
         if self.collapse.feature_weight.is_some() && self.collapse.feature_angle.is_none() {
