@@ -334,6 +334,13 @@ pub struct SynthArgs {
     pub json: bool,
 }
 
+impl CompareArgs {
+    /// Whether the heat map goes to standard output.
+    pub fn shades_to_stdout(&self) -> bool {
+        self.heatmap.as_deref().is_some_and(is_stdout)
+    }
+}
+
 /// `meshmill render`
 #[derive(Debug, Args)]
 pub struct RenderArgs {
@@ -431,13 +438,6 @@ impl From<RenderArgs> for RenderingSaid {
     fn from(args: RenderArgs) -> Self {
         let RenderArgs { meshes, output, width, height, zoom, at, edges, memory, threads, json: _ } = args;
         RenderingSaid { meshes, output, width, height, zoom, at, edges, memory, threads }
-    }
-}
-
-impl CompareArgs {
-    /// Whether the heat map goes to standard output.
-    pub fn shades_to_stdout(&self) -> bool {
-        self.heatmap.as_deref().is_some_and(is_stdout)
     }
 }
 

@@ -23,10 +23,9 @@
 //! | [`picture`] | a scan, a camera | what it looks like |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!
-//! **Direction.** `main` → [`morning`] → [`queue`] → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`],
-//! [`scratch`], [`budget`], [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure`,
-//! `inspect` and `picture` stream through `read`; none of them knows [`job`] or [`report`]. The library is silent: stages
-//! count, `report` and `morning` word, `main` prints.
+//! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
+//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `carry`, `measure`, `inspect` and `picture`
+//! stream through `read`; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
 //! tables are sized from the scan and the budget; what threads share is summed in integers; every step of the collapse is a

@@ -42,28 +42,28 @@ struct Saying {
     lines: Vec<String>,
     /// Why what was asked was not met, though there is a result.
     unmet: Option<String>,
-    /// The exit code then.
-    code: u8,
     /// Whether stdout has the result itself: words then go to stderr.
     stdout_is_taken: bool,
+    /// The exit code then.
+    code: u8,
 }
 
 impl Saying {
     fn new(object: String, lines: Vec<String>) -> Self {
-        Saying { object, lines, unmet: None, code: 1, stdout_is_taken: false }
+        Saying { object, lines, unmet: None, stdout_is_taken: false, code: 1 }
     }
 }
 
 fn reduce(said: JobFile) -> ExitCode {
     let in_json = said.report.json == Some(true);
-    let stdout_is_taken = said.scan.tables().iter().any(|scan| scan.output.as_deref().is_some_and(is_stdout));
+    let stdout_is_taken = said.scan.tables().iter().any(|table| table.output.as_deref().is_some_and(is_stdout));
     let outcome = said.resolve().and_then(|job| working(|progress| pipeline::reduce(&job, progress)));
     let saying = outcome.map(|report| Saying {
         object: json(&report),
         lines: report.lines(),
         unmet: report.unmet.as_ref().map(|unmet| unmet.message().into()),
-        code: 1,
         stdout_is_taken,
+        code: 1,
     });
     conclude(saying, in_json)
 }

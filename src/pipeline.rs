@@ -44,7 +44,7 @@ pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress:
         let begun = Instant::now();
         progress.begin(Stage::Read, 0);
         let out = write::Target::prepare_as(&job.output, job.format, Some(&job.input))?;
-        let prepare = |level: &Level| write::Target::prepare_as(&level.output, job.format, Some(&job.input));
+        let prepare = |level: &Level| write::Target::prepare_as(&level.output, level.format, Some(&job.input));
         let coarser = job.coarser.iter().map(prepare).collect::<Result<Vec<_>>>()?;
         let scratch = job.scratch();
         let scan = Scan::open_in(&job.input, &scratch, progress)?;

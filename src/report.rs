@@ -236,8 +236,8 @@ impl Warning {
             Warning::CoarsenedGrid { .. } => "coarsened-grid",
             Warning::LowRatio { .. } => "low-ratio",
             Warning::SmallPieces { .. } => "small-pieces",
-            Warning::NoPicture { .. } => "no-picture",
             Warning::NotCarried { .. } => "not-carried",
+            Warning::NoPicture { .. } => "no-picture",
         }
     }
 }
@@ -245,12 +245,12 @@ impl Warning {
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Warning::NoPicture { ref why } => write!(f, "no picture was taken: {why}"),
             Warning::NotCarried { ref names } => {
                 let (shown, more) = (&names[..names.len().min(8)], names.len().saturating_sub(8));
                 let more = if more > 0 { format!(" and {more} more") } else { String::new() };
                 write!(f, "not carried over to the result: {}{more}", shown.join(", "))
             }
+            Warning::NoPicture { ref why } => write!(f, "no picture was taken: {why}"),
             Warning::TrailingBytes { bytes } => write!(
                 f,
                 "{} after the last element ignored: if the scan looks cut short, its header counts too few",

@@ -205,7 +205,7 @@ impl JobFile {
             None if policies.placement == Placement::Endpoint => 0,
             None => DEFAULT_REFIT_ROUNDS,
         };
-        let format = scan.format.map_or_else(|| Format::of(&output), Ok)?;
+        let format = format_of(&output)?;
         if is_stdout(&output) {
             let taken = [(self.report.json, "the report in JSON"), (self.report.verify, "what `verify` measures")];
             if let Some((_, what)) = taken.into_iter().find(|(asked, _)| *asked == Some(true)) {
@@ -304,8 +304,9 @@ impl Job {
 
     /// The job file that says this job in full: nothing is left to a default.
     pub fn said(&self) -> JobFile {
-        let (input, output, format) = (vec![self.input.clone()], Some(self.output.clone()), Some(self.format));
-        let mut scan = ScanTable { input, output, format, carry: Some(self.carry), ..Default::default() };
+        let input = vec![self.input.clone()];
+        let (format, carry) = (Some(self.format), Some(self.carry));
+        let mut scan = ScanTable { input, output: Some(self.output.clone()), format, carry, ..Default::default() };
         for target in std::iter::once(self.target).chain(self.coarser.iter().map(|level| level.target)) {
             match target {
                 Target::Faces(n) => scan.faces.push(Count(n)),

@@ -17,11 +17,17 @@ use tempfile::NamedTempFile;
 const PREFIX: &str = ".meshmill-";
 const SUFFIX: &str = ".tmp";
 
-/// A file to be written, or standard output.
+/// A mesh to be written, to a file or to standard output.
 #[derive(Debug)]
 pub struct Target {
-    path: PathBuf,
     format: Format,
+    whole: WholeFile,
+}
+
+/// The same for a file of any kind.
+#[derive(Debug)]
+pub struct WholeFile {
+    path: PathBuf,
     place: Place,
 }
 
@@ -51,31 +57,12 @@ impl Target {
     /// else that cannot be replaced, that it is not `input` under another name; and that a file can be made there.
     /// Temporary files that killed runs left in the folder are removed.
     pub fn prepare_as(out: &Path, format: Format, input: Option<&Path>) -> Result<Target> {
-        if is_stdout(out) {
-            return Ok(Target { path: out.into(), format, place: Place::Stdout });
-        }
-        let path = resolve(out)?;
-        if let Ok(existing) = fs::metadata(&path) {
-            check_replaceable(out, &existing)?;
-            if let Some(input) = input {
-                check_not_input(out, &existing, input)?;
-            }
-        }
-        let folder = folder_of(&path)?;
-        sweep(&folder);
-        let temporary = create_locked(&folder)?;
-        Ok(Target { path, format, place: Place::Folder { folder, temporary } })
+        Ok(Target { format, whole: WholeFile::prepare(out, input)? })
     }
 
     /// Refuses to replace a further input.
     pub fn check_is_not(&self, input: &Path) -> Result<()> {
-        if matches!(self.place, Place::Stdout) {
-            return Ok(());
-        }
-        match fs::metadata(&self.path) {
-            Ok(existing) => check_not_input(&self.path, &existing, input),
-            Err(_) => Ok(()),
-        }
+        self.whole.check_is_not(input)
     }
 
     /// What will be written.
@@ -85,7 +72,7 @@ impl Target {
 
     /// Where it will be, symbolic links followed.
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.whole.path
     }
 
     /// Whether coordinates in doubles would be rounded to floats.
@@ -113,12 +100,59 @@ impl Target {
             faces: mesh.faces.len() as u64,
         };
         progress.begin(Stage::Write, header.element_bytes());
-        let path = self.path.clone();
+        let path = self.whole.path.clone();
         let contents = Contents { mesh, frame, carried };
         self.write_by(progress, |sink| encode(&contents, &header, &path, sink))
     }
 
     /// Has `fill` write the contents, then puts them in the target's place; the number of bytes.
+    pub(crate) fn write_by(
+        self,
+        progress: &Progress,
+        fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>,
+    ) -> Result<u64> {
+        self.whole.write_by(progress, fill)
+    }
+}
+
+impl WholeFile {
+    /// Checks all that can be checked before any work: the folder, that `out` is not a folder or anything else that cannot
+    /// be replaced, that it is not `input` under another name; and that a file can be made there. Temporary files that
+    /// killed runs left in the folder are removed.
+    pub fn prepare(out: &Path, input: Option<&Path>) -> Result<WholeFile> {
+        if is_stdout(out) {
+            return Ok(WholeFile { path: out.into(), place: Place::Stdout });
+        }
+        let path = resolve(out)?;
+        if let Ok(existing) = fs::metadata(&path) {
+            check_replaceable(out, &existing)?;
+            if let Some(input) = input {
+                check_not_input(out, &existing, input)?;
+            }
+        }
+        let folder = folder_of(&path)?;
+        sweep(&folder);
+        let temporary = create_locked(&folder)?;
+        Ok(WholeFile { path, place: Place::Folder { folder, temporary } })
+    }
+
+    /// Refuses to replace a further input.
+    pub fn check_is_not(&self, input: &Path) -> Result<()> {
+        if matches!(self.place, Place::Stdout) {
+            return Ok(());
+        }
+        match fs::metadata(&self.path) {
+            Ok(existing) => check_not_input(&self.path, &existing, input),
+            Err(_) => Ok(()),
+        }
+    }
+
+    /// Writes these bytes and puts them in place.
+    pub fn write(self, bytes: &[u8], progress: &Progress) -> Result<u64> {
+        self.write_by(progress, |sink| sink.put(bytes))
+    }
+
+    /// Has `fill` write the contents, then puts them in place; the number of bytes.
     pub(crate) fn write_by(
         self,
         progress: &Progress,
@@ -147,37 +181,6 @@ fn to_stdout(path: &Path, progress: &Progress, fill: impl FnOnce(&mut Sink<'_, &
     let mut sink = Sink::new(&file, path, progress);
     fill(&mut sink)?;
     sink.finish()
-}
-
-/// A file of any kind that is written as meshes are.
-#[derive(Debug)]
-pub struct WholeFile(Target);
-
-impl WholeFile {
-    /// Checks what [`Target::prepare_as`] does.
-    pub fn prepare(out: &Path, input: Option<&Path>) -> Result<WholeFile> {
-        // The format is that of meshes, and nobody asks it here.
-        Target::prepare_as(out, Format::Ply, input).map(WholeFile)
-    }
-
-    /// Refuses to replace a further input.
-    pub fn check_is_not(&self, input: &Path) -> Result<()> {
-        self.0.check_is_not(input)
-    }
-
-    /// Writes these bytes and puts them in place.
-    pub fn write(self, bytes: &[u8], progress: &Progress) -> Result<u64> {
-        self.0.write_by(progress, |sink| sink.put(bytes))
-    }
-
-    /// Has `fill` write the contents, then puts them in place; the number of bytes.
-    pub(crate) fn write_by(
-        self,
-        progress: &Progress,
-        fill: impl FnOnce(&mut Sink<'_, &File>) -> Result<()>,
-    ) -> Result<u64> {
-        self.0.write_by(progress, fill)
-    }
 }
 
 /// Where `out` leads: a symbolic link is written through, as any program would, not replaced.
