@@ -27,7 +27,7 @@ pub struct Forecast {
 
 /// Opens the scan and tells what would be done. A budget that cannot do it is refused.
 pub fn forecast(job: &Job, progress: &Progress) -> Result<Forecast> {
-    let scan = Scan::open(&job.input, progress)?;
+    let scan = Scan::open_in(&job.input, &job.scratch(), progress)?;
     match scan.scalar() {
         Scalar::F32 => through::<f32>(job, &scan),
         Scalar::F64 => through::<f64>(job, &scan),

@@ -59,7 +59,7 @@ impl<'a> Portrait<'a> {
         let camera = Camera::of_scan(run.scan, &read_crew(&run.purse, run.progress))?;
         let mut portrait =
             Portrait { asked, tile, cameras: [camera; 2], room: room - bytes(tile), views: Vec::new(), top: None };
-        let finest = Scan::open(results[0], run.progress)?;
+        let finest = Scan::open_in(results[0], &run.scratch, run.progress)?;
         let [whole, _] = portrait.plates();
         draw_scan(&finest, std::slice::from_ref(&whole), &read_crew(&run.purse, run.progress), portrait.room)?;
         portrait.cameras[1] = camera.zoomed(whole.most_detailed(1.0 / ZOOM).unwrap_or(camera.centre()), ZOOM);
@@ -67,7 +67,7 @@ impl<'a> Portrait<'a> {
         portrait.take(run, "before", run.scan)?;
         portrait.take(run, "after", &finest)?;
         for result in results.iter().take(MOST_RESULTS).skip(1) {
-            portrait.take(run, "coarser", &Scan::open(result, run.progress)?)?;
+            portrait.take(run, "coarser", &Scan::open_in(result, &run.scratch, run.progress)?)?;
         }
         Ok(portrait)
     }

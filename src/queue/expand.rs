@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use walkdir::WalkDir;
 
 /// Endings of what can be read, for a folder that is named as a whole.
-const READABLE: [&str; 2] = ["ply", "stl"];
+const READABLE: [&str; 6] = ["ply", "stl", "obj", "off", "glb", "gltf"];
+
+/// Endings that say how a file is packed, not what it is.
+pub(super) const PACKED: [&str; 2] = ["gz", "zst"];
 
 /// A scan that was found.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -23,7 +26,7 @@ pub(super) struct Found {
 pub(super) fn expand(input: &Path, exclude: &Excluded) -> Result<Vec<Found>> {
     if input.is_dir() {
         return walk(input, exclude, |path| {
-            let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+            let extension = unpacked(path).extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
             extension.is_some_and(|e| READABLE.contains(&e.as_str()))
         });
     }
@@ -56,6 +59,14 @@ fn walk(root: &Path, exclude: &Excluded, wanted: impl Fn(&Path) -> bool) -> Resu
         }
     }
     Ok(found)
+}
+
+/// The name of a file without the ending that says how it is packed.
+pub(super) fn unpacked(scan: &Path) -> PathBuf {
+    match scan.extension() {
+        Some(e) if PACKED.iter().any(|packed| e.eq_ignore_ascii_case(packed)) => scan.with_extension(""),
+        _ => scan.to_path_buf(),
+    }
 }
 
 fn has_pattern(path: &Path) -> bool {
@@ -113,7 +124,7 @@ mod tests {
     fn patterns_folders_and_names_find_what_they_say() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        for name in ["a.ply", "b.STL", "c.txt", "x/d.ply", "x/y/e.ply", "x/old/f.ply", "odd[1]/g.ply"] {
+        for name in ["a.ply", "b.STL", "c.txt", "x/d.ply.gz", "x/y/e.ply", "x/old/f.ply", "odd[1]/g.ply"] {
             std::fs::create_dir_all(at(name).parent().unwrap()).unwrap();
             std::fs::write(at(name), "").unwrap();
         }
@@ -125,9 +136,9 @@ mod tests {
             found.iter().map(|f| (name(&f.path), f.dir.display().to_string())).collect()
         };
         let names = |input, exclude: &[&str]| found(input, exclude).into_iter().map(|f| f.0).collect::<Vec<_>>();
-        assert_eq!(names("", &[]), ["a.ply", "b.STL", "odd[1]/g.ply", "x/d.ply", "x/old/f.ply", "x/y/e.ply"]);
+        assert_eq!(names("", &[]), ["a.ply", "b.STL", "odd[1]/g.ply", "x/d.ply.gz", "x/old/f.ply", "x/y/e.ply"]);
         assert_eq!(names("*.ply", &[]), ["a.ply"]);
-        assert_eq!(names("**/*.ply", &["**/old/**", "a.ply"]), ["odd[1]/g.ply", "x/d.ply", "x/y/e.ply"]);
+        assert_eq!(names("**/*.ply", &["**/old/**", "a.ply"]), ["odd[1]/g.ply", "x/y/e.ply"]);
         assert_eq!(names("x/*/?.ply", &["x/y/*"]), ["x/old/f.ply"]);
         assert_eq!(found("x/**/e.ply", &[]), [("x/y/e.ply".into(), "y".into())]);
         assert_eq!(found("odd[1]/*.ply", &[]), [("odd[1]/g.ply".into(), "".into())]);

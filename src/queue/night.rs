@@ -279,7 +279,7 @@ impl<'a> Night<'a> {
             20_000..45_000 => 240,
             _ => 320,
         };
-        PortraitAsked { output: self.plan.folder.join(picture_of(task)), tile, most_bytes }
+        PortraitAsked { output: self.plan.folder.join(picture_of(self.plan, task)), tile, most_bytes }
     }
 
     fn take(&mut self, event: Event, watcher: &mut dyn Watcher) -> Result<()> {
@@ -349,7 +349,7 @@ impl<'a> Night<'a> {
             return Ok(());
         }
         if row.fact("/portrait").is_some() {
-            row.picture = Some(picture_of(task));
+            row.picture = Some(picture_of(self.plan, task));
         }
         if let Some(less) = doing.this.less {
             let (less, budget) = (Size(less), task.budget);
@@ -468,8 +468,9 @@ impl<'a> Night<'a> {
 }
 
 /// A scan's picture, in the night's folder: named by its first result, which no other scan has.
-fn picture_of(task: &Task) -> PathBuf {
-    let result = task.outputs.first().map(|path| path.to_string_lossy().into_owned()).unwrap_or_default();
+fn picture_of(plan: &Plan, task: &Task) -> PathBuf {
+    let result = task.outputs.first().map(|path| path.strip_prefix(&plan.folder).unwrap_or(path).to_string_lossy());
+    let result = result.unwrap_or_default();
     Path::new(PICTURES).join(format!("{}.jpg", &blake3::hash(result.as_bytes()).to_hex()[..16]))
 }
 

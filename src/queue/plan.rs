@@ -346,7 +346,9 @@ impl Tasks<'_> {
         }
         let named = Named { scan: &path, dir: &found.dir };
         let outputs = targets.iter().map(|target| named.output(&template, *target)).collect::<Result<Vec<_>>>()?;
-        outputs.iter().try_for_each(|output| crate::write::Format::of(output).map(|_| ()))?;
+        if table.format.is_none() {
+            outputs.iter().try_for_each(|output| crate::write::Format::of(output).map(|_| ()))?;
+        }
         let said = self.said.clone();
         let mut job = JobFile {
             run: table.run.clone().over(said.run),
@@ -358,6 +360,8 @@ impl Tasks<'_> {
             scan: Scans::One(Box::new(ScanTable {
                 input: vec![path.clone()],
                 output: outputs.first().cloned(),
+                format: table.format,
+                carry: table.carry,
                 faces: table.faces,
                 ratio: table.ratio,
                 max_error: table.max_error,

@@ -1,13 +1,11 @@
 //! Where a scan's meshes go: `{dir}/{stem}.{faces}.{ext}`.
 
+use super::expand::unpacked;
 use crate::error::{Error, Result};
 use crate::job::Target;
 use std::path::{Component, Path, PathBuf};
 
 const WORDS: [&str; 4] = ["dir", "stem", "faces", "ext"];
-
-/// Endings that say how a file is packed, not what it is.
-const PACKED: [&str; 2] = ["gz", "zst"];
 
 /// A scan, and the part of its path that is mirrored.
 pub(super) struct Named<'a> {
@@ -58,14 +56,12 @@ impl Named<'_> {
     /// The scan's own ending where that can be written, otherwise that of PLY.
     fn extension(&self) -> &'static str {
         let own = unpacked(self.scan).extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        if own.as_deref() == Some("stl") { "stl" } else { "ply" }
-    }
-}
-
-fn unpacked(scan: &Path) -> PathBuf {
-    match scan.extension() {
-        Some(e) if PACKED.iter().any(|packed| e.eq_ignore_ascii_case(packed)) => scan.with_extension(""),
-        _ => scan.to_path_buf(),
+        match own.as_deref() {
+            Some("stl") => "stl",
+            Some("obj") => "obj",
+            Some("glb" | "gltf") => "glb",
+            _ => "ply",
+        }
     }
 }
 
