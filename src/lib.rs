@@ -17,13 +17,14 @@
 //! | [`cluster`] | those chunks | an intermediate mesh of about twelve times the result's size, a quadric a vertex, samples of the surface |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
 //! | [`refit`] | that mesh, and samples of the scan or a finer mesh | the same mesh, closer to the scan |
+//! | [`carry`] | the scan, that mesh | what vertices carry, for the mesh's vertices |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
 //! | [`inspect`] | a scan | counts of what is in it and of what is wrong with it |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
-//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure` and `inspect` stream through
+//! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `measure`, `inspect` and `carry` stream through
 //! `read`; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
