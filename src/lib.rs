@@ -17,6 +17,7 @@
 //! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex, samples of the surface |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
 //! | [`refit`] | that mesh, and samples of the scan or a finer mesh | the same mesh, closer to the scan |
+//! | [`carry`] | the scan, that mesh | what vertices carry, for the mesh's vertices |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
 //! | [`inspect`] | a scan | counts of what is in it and of what is wrong with it |

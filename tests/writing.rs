@@ -158,7 +158,7 @@ fn what_cannot_be_a_target_is_refused_before_the_work() {
     };
     refused("dir.ply", 2);
     refused("out.ply/", 2);
-    refused("out.obj", 2);
+    refused("out.off", 2);
     refused("dangling.ply", 1);
     assert!(refused("file/out.ply", 1).contains("/file: cannot write into this folder"));
     assert!(refused("missing/out.ply", 1).contains("/missing: cannot write into this folder"));

@@ -7,8 +7,9 @@
 //! are rounded, normals made unit.
 //!
 //! The scan is streamed, at most [`SAMPLES`] of its vertices for each of the result's, so this works for a scan of any size
-//! and on the result of clustering too. Not done: the collapse does not know about attributes, so edges of colour on flat
-//! ground are kept only as well as the mesh that geometry asks for can show them.
+//! and on the result of clustering too. [`shades`] gives
+//! the collapse the colours of a scan that fits the budget, to steer by; that of a clustered one, and every other number, is
+//! carried as well as the mesh that shape asks for can show it.
 //!
 //! **Memory** ([`bytes`]): beside the result, its tree, 36 bytes a face and 8 a vertex and column in hand; columns are
 //! taken [`BATCH`] at a time. Sums are of integers, so threads change nothing.
@@ -17,7 +18,9 @@ mod solve;
 
 use crate::error::Result;
 use crate::mesh::columns::{Column, Columns, Meaning};
-use crate::mesh::{BATCH as BATCH_OF_PLACES, Coordinate, Frame, IndexedMesh, PositionTable, Tree, narrow, widen};
+use crate::mesh::{
+    BATCH as BATCH_OF_PLACES, Coordinate, Extent, Frame, IndexedMesh, PositionTable, Tree, narrow, widen,
+};
 use crate::progress::Stage;
 use crate::read::{Crew, Scan};
 use glam::DVec3;
@@ -67,8 +70,9 @@ pub fn carry<S: Coordinate>(
     Ok(carried)
 }
 
-/// What full brightness counts, as a share of an edge of the result, where colours weigh 1.
-const COLOUR_LENGTH: f64 = 0.09;
+/// What full brightness counts where colours weigh 1: so many times the square of an edge of the result over the scan's
+/// diagonal, since that is how deviation grows with edges on what is smooth.
+const COLOUR_LENGTH: f64 = 8.0;
 
 /// The colours of a loaded scan's vertices, as lengths in its frame, for the collapse: `colour` are the columns. A vertex takes
 /// them from the first one of the file at its place.
@@ -87,7 +91,9 @@ pub fn shades<S: Coordinate>(
     };
     let faces = asked.unwrap_or(0).max(mesh.faces.len() as u64 / 50).max(1);
     let edge = (mesh.faces.iter().map(area).sum::<f64>() / faces as f64).sqrt();
-    let length = weight * COLOUR_LENGTH * edge;
+    let mut extent = Extent::default();
+    (0..mesh.positions.len() as u32).for_each(|v| extent.include(mesh.at(v)));
+    let length = weight * COLOUR_LENGTH * edge * edge / extent.diagonal();
     let mut table = PositionTable::with_room_for(mesh.positions.len());
     for (batch, positions) in mesh.positions.chunks(BATCH_OF_PLACES).enumerate() {
         let looked_up = table.look_up(positions, &mesh.positions);

@@ -26,6 +26,9 @@ const LOOK_AT_ALL_BYTES: u64 = 64 << 20;
 const LOOK_RUNS: u64 = 256;
 const LOOK_RUN: u64 = 256;
 
+/// Vertices with what they carry that are decoded in order at a time: as many bytes as a chunk of positions.
+const ROWS: usize = CHUNK / 8;
+
 /// An open PLY file.
 #[derive(Debug)]
 pub(super) struct Ply {
@@ -325,15 +328,15 @@ impl Ply {
             return match self.encoding {
                 Encoding::Ascii => {
                     let mut records = Records::<Ascii<'_>>::new(path, &self.vertex, cursor, 0);
-                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, ROWS, out), step)
                 }
                 Encoding::BinaryBigEndian => {
                     let mut records = Records::<Binary<'_, true>>::new(path, &self.vertex, cursor, 0);
-                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, ROWS, out), step)
                 }
                 Encoding::BinaryLittleEndian => {
                     let mut records = Records::<Binary<'_, false>>::new(path, &self.vertex, cursor, 0);
-                    pump_decoded(crew, &mut |out| records.rows(&wanted, CHUNK, out), step)
+                    pump_decoded(crew, &mut |out| records.rows(&wanted, ROWS, out), step)
                 }
             };
         };

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod borders;
+mod carry;
 mod compare;
 mod counts;
 mod determinism;
