@@ -45,7 +45,8 @@ pub(super) struct Portrait<'a> {
 impl<'a> Portrait<'a> {
     /// Takes the views of the scan and of the meshes that were made of it.
     pub(super) fn begun(run: &Run, asked: &'a PortraitAsked, results: &[&Path]) -> Result<Self> {
-        let room = run.purse.while_streaming();
+        // The other half is what allocators keep of the reduction before.
+        let room = run.purse.while_streaming() / 2;
         let views = (results.len().min(MOST_RESULTS) + 2) as u64;
         // Plates, and the pictures: as they are taken, put together, and encoded.
         let bytes = |tile: usize| 2 * Plate::bytes(tile, tile, COARSE) + views * 12 * (tile * tile) as u64;
