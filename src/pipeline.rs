@@ -13,7 +13,7 @@ pub use inspect::inspect;
 pub use portrait::PortraitAsked;
 pub use render::render;
 
-use crate::carry::{carry, shades};
+use crate::carry::{self, carry, shades};
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
@@ -76,6 +76,16 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         refit_rounds: job.refit_rounds,
         tail_bytes: collapse::tail_bytes(target, &job.policies),
         shade_bytes: if steering(job, scan).is_some() { collapse::SHADE_BYTES } else { 0 },
+        carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
+    }
+}
+
+/// What carrying over all that the vertices of a scan carry takes.
+fn carry_bytes(scan: &Scan, target: u64) -> u64 {
+    let faces = target.min(scan.triangle_count());
+    match scan.columns().len() as u64 {
+        0 => 0,
+        columns => carry::bytes(faces, faces / 2, columns),
     }
 }
 

@@ -91,6 +91,8 @@ pub struct Ask {
     pub tail_bytes: u64,
     /// What a vertex carries into the collapse beside its position, where the scan is collapsed as it is.
     pub shade_bytes: u64,
+    /// What carrying over takes, beside the result.
+    pub carry_bytes: u64,
 }
 
 /// A budget and the hands that share it.
@@ -180,6 +182,9 @@ impl Purse {
                 shades + collapse::bytes::<S>(faces, vertices)
             }
         };
+        if self.carrying_bytes::<S>(scan) > self.for_arrays() {
+            return None;
+        }
         let most_vertices = self.for_scan(scan).checked_sub(bytes(faces, 0))? / bytes(0, 1);
         let fits = match scan.layout() {
             Layout::Indexed => scan.vertex_count() <= most_vertices && self.loading_bytes(scan) <= self.for_arrays(),
@@ -244,6 +249,12 @@ impl Purse {
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
     }
 
+    /// What the result takes with all that is carried over to it: less than the collapse did, but where nearly all is kept.
+    fn carrying_bytes<S: Coordinate>(&self, scan: &Scan) -> u64 {
+        let result = (12 + 3 * size_of::<S>() as u64 / 2).saturating_mul(self.ask.target.min(scan.triangle_count()));
+        if self.ask.carry_bytes == 0 { 0 } else { self.ask.carry_bytes.saturating_add(result) }
+    }
+
     /// What loading takes, colours and all.
     fn loading_bytes(&self, scan: &Scan) -> u64 {
         load_peak_bytes(scan).saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()))
@@ -254,7 +265,8 @@ impl Purse {
         let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count(), false);
         let collapse = collapse.saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()));
         let loading = self.loading_bytes(scan);
-        self.least_budget(|purse| collapse <= purse.for_scan(scan) && loading <= purse.for_arrays())
+        let most = loading.max(self.carrying_bytes::<S>(scan));
+        self.least_budget(|purse| collapse <= purse.for_scan(scan) && most <= purse.for_arrays())
     }
 
     /// The least budget in whole mebibytes that is enough; the largest of all if none is.

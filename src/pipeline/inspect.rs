@@ -36,6 +36,7 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
             refit_rounds: DEFAULT_REFIT_ROUNDS,
             tail_bytes: collapse::tail_bytes(faces, &policies),
             shade_bytes: if has_colour(&scan) { collapse::SHADE_BYTES } else { 0 },
+            carry_bytes: super::carry_bytes(&scan, faces),
         };
         let purse = Purse::new(inspection.memory.0, threads, ask);
         let crew = Crew { workers: purse.workers, progress };
