@@ -211,7 +211,7 @@ fn a_heat_map_shows_the_deviation_of_each_vertex() {
         assert!(colours[0][0] < 60 && colours[20][0] > 200, "{:?} to {:?}", colours[0], colours[20]);
     }
     let scans = folder.names();
-    for (out, why) in [("map.stl", "only .ply"), ("a.ply", "is the input"), ("b.ply", "is the input")] {
+    for (out, why) in [("map.stl", "only a binary .ply"), ("a.ply", "is the input"), ("b.ply", "is the input")] {
         let out = folder.path(out);
         let args = ["--heatmap", out.to_str().unwrap()];
         let (a, b) = (folder.path("a.ply"), folder.path("b.ply"));
