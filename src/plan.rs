@@ -153,12 +153,21 @@ impl Purse {
             return 0;
         }
         let vertices = scan.vertex_count().min(scan.triangle_count());
-        let spilled = scan.layout() == Layout::Indexed && cluster::resident_spill_bytes(vertices) > self.bytes / 2;
-        let a_vertex = if spilled { SAMPLE_SCRATCH_BESIDE_BYTES } else { SAMPLE_SCRATCH_BYTES };
-        let on_scratch = (a_vertex * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        let on_scratch = (SAMPLE_SCRATCH_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
         let most = (self.samples_at_once(target) as f64 / SAMPLES_MARGIN) as u64;
         let samples = (refit::SAMPLES as u64).saturating_mul(target).min(on_scratch).min(most);
         if samples < (refit::LEAST_SAMPLES as u64 + 1).saturating_mul(target) { 0 } else { samples }
+    }
+
+    /// How many are taken where so many bytes of binned vertices may be resident: fewer if scratch has to hold these, too.
+    pub fn samples_beside(&self, scan: &Scan, spill_resident_bytes: u64) -> u64 {
+        let samples = self.samples(scan);
+        let vertices = scan.vertex_count();
+        if scan.layout() == Layout::Soup || cluster::resident_spill_bytes(vertices) <= spill_resident_bytes {
+            return samples;
+        }
+        let on_scratch = (SAMPLE_SCRATCH_BESIDE_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        samples.min(on_scratch.max((refit::LEAST_SAMPLES as u64 + 1).saturating_mul(self.ask.target)))
     }
 
     /// How many samples there is room for when a result of so many faces is refitted.

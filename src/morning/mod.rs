@@ -1,7 +1,7 @@
 //! The morning: a night's report as files that people and scripts read.
 //!
 //! `report.html` is one file that needs nothing else, neither network nor pictures beside it; `report.json` has all facts and
-//! `report.csv` a line a result. What is written into the page passes through [`escape`]: names of files are not to be
+//! `report.csv` a line a result. What is written into the page passes through `escape`: names of files are not to be
 //! trusted with markup.
 
 mod page;
