@@ -189,7 +189,7 @@ struct CollapseArgs {
     #[arg(long, value_name = "LENGTH|auto", allow_negative_numbers = true)]
     pair_distance: Option<Pairs>,
 
-    /// What collapses within ten times the target: edge or face [default: edge]
+    /// What collapses among the last faces, within five times the target: edge or face [default: edge]
     #[arg(long, value_name = "WHICH", value_parser = word::<Primitive>)]
     primitive: Option<Primitive>,
 }

@@ -18,7 +18,7 @@ use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
-use crate::mesh::columns::{Columns, Meaning};
+use crate::mesh::columns::{self, Columns, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
@@ -96,10 +96,8 @@ fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
 
 /// Columns of the colour that is to steer, if one is.
 fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
-    let colour = || std::array::from_fn(|part| scan.columns().iter().position(|c| c.meaning == Meaning::Colour(part)));
-    let found: Option<[Option<usize>; 3]> = (job.carry && job.policies.colour_weight > 0.0).then(colour);
-    let [red, green, blue] = found?;
-    Some([red?, green?, blue?])
+    let steers = job.carry && job.policies.colour_weight > 0.0;
+    steers.then(|| columns::find(scan.columns(), Meaning::Colour)).flatten()
 }
 
 /// One reduction under way.

@@ -165,7 +165,7 @@ const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
 
 /// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for more
-/// than ten times the target neither matters yet.
+/// than five times the target neither matters yet.
 const SERIAL_FACES: usize = 50_000;
 
 /// Where a round of groups removes fewer than one face in this many, pairs go on.

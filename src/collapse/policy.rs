@@ -62,7 +62,7 @@ impl Default for Policies {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quadrics {
-    /// Those learnt from the scan down to ten times the target; from there on those of the current faces, advised by the
+    /// Those learnt from the scan down to five times the target; from there on those of the current faces, advised by the
     /// learnt ones.
     #[default]
     Current,
@@ -133,7 +133,7 @@ pub enum FoldCheck {
     Off,
 }
 
-/// What collapses at a time, within ten times the target.
+/// What collapses at a time among the last faces: within five times the target, and 50,000 above it at least.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Primitive {

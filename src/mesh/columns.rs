@@ -34,6 +34,33 @@ impl Number {
         !matches!(self, Number::F32 | Number::F64)
     }
 
+    /// Bytes of one in a binary file.
+    pub fn bytes(self) -> usize {
+        match self {
+            Number::I8 | Number::U8 => 1,
+            Number::I16 | Number::U16 => 2,
+            Number::I32 | Number::U32 | Number::F32 => 4,
+            Number::F64 => 8,
+        }
+    }
+
+    /// Whether `f32` holds every value.
+    pub fn fits_f32(self) -> bool {
+        !matches!(self, Number::I32 | Number::U32 | Number::F64)
+    }
+
+    /// One more than the largest value that it can hold as an index.
+    pub fn index_limit(self) -> u64 {
+        match self {
+            Number::I8 => 1 << 7,
+            Number::U8 => 1 << 8,
+            Number::I16 => 1 << 15,
+            Number::U16 => 1 << 16,
+            Number::I32 => 1 << 31,
+            _ => 1 << 32,
+        }
+    }
+
     /// Appends `x` in little-endian bytes; what an integer cannot hold is clamped to what it can.
     #[inline]
     pub fn put(self, x: f64, out: &mut Vec<u8>) {
@@ -124,7 +151,12 @@ impl Columns {
 
     /// Where the parts of something of so many parts are, if all are there.
     pub fn find<const N: usize>(&self, part: impl Fn(usize) -> Meaning) -> Option<[usize; N]> {
-        let at = std::array::from_fn(|i| self.columns.iter().position(|c| c.meaning == part(i)));
-        at.iter().all(Option::is_some).then(|| at.map(|i| i.unwrap_or(0)))
+        find(&self.columns, part)
     }
+}
+
+/// Where the parts of something of so many parts are among `columns`, if all are there.
+pub fn find<const N: usize>(columns: &[Column], part: impl Fn(usize) -> Meaning) -> Option<[usize; N]> {
+    let at = std::array::from_fn(|i| columns.iter().position(|c| c.meaning == part(i)));
+    at.iter().all(Option::is_some).then(|| at.map(|i| i.unwrap_or(0)))
 }

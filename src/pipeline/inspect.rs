@@ -5,7 +5,7 @@ use crate::collapse::{self, Policies};
 use crate::error::{Error, Result};
 use crate::inspect::inspect as look_through;
 use crate::job::{DEFAULT_REFIT_ROUNDS, Inspection};
-use crate::mesh::columns::Meaning;
+use crate::mesh::columns::{self, Meaning};
 use crate::plan::{Ask, Purse, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scalar, Scan};
@@ -73,7 +73,7 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
 
 /// Whether vertices have colours, which would steer.
 fn has_colour(scan: &Scan) -> bool {
-    (0..3).all(|part| scan.columns().iter().any(|c| c.meaning == Meaning::Colour(part)))
+    columns::find::<3>(scan.columns(), Meaning::Colour).is_some()
 }
 
 /// What a reduction to so many faces would take, asked of the plan that would make it.

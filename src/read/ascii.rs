@@ -1,9 +1,10 @@
 //! Words and numbers of text files.
 
 use super::cursor::Cursor;
-use super::ply_header::{Kind, shown};
+use super::ply_header::shown;
 use super::ply_records::{Fault, Values, no_such_vertex};
 use crate::error::Result;
+use crate::mesh::columns::Number;
 
 /// The longest word that is looked at.
 const WORD_BYTES: usize = 256;
@@ -108,15 +109,15 @@ impl<'a> Values<'a> for Ascii<'a> {
         self.0.at()
     }
 
-    fn number(&mut self, kind: Kind) -> Result<f64, Fault> {
-        self.parse(|word| number(word, kind == Kind::F32), "a number").map(|(_, number)| number)
+    fn number(&mut self, kind: Number) -> Result<f64, Fault> {
+        self.parse(|word| number(word, kind == Number::F32), "a number").map(|(_, number)| number)
     }
 
-    fn integer(&mut self, _: Kind) -> Result<i64, Fault> {
+    fn integer(&mut self, _: Number) -> Result<i64, Fault> {
         self.parse(integer, "a whole number").map(|(_, number)| number)
     }
 
-    fn indices(&mut self, _: Kind, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault> {
+    fn indices(&mut self, _: Number, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault> {
         for _ in 0..n {
             let (at, index) = self.parse(integer, "a vertex index")?;
             if index < 0 || index as u64 >= limit.min(1 << 32) {
@@ -127,14 +128,14 @@ impl<'a> Values<'a> for Ascii<'a> {
         Ok(())
     }
 
-    fn skip(&mut self, _: Kind, n: u64) -> Result<(), Fault> {
+    fn skip(&mut self, _: Number, n: u64) -> Result<(), Fault> {
         for _ in 0..n {
             self.0.next()?.ok_or(Fault::End)?;
         }
         Ok(())
     }
 
-    fn skip_zeros(&mut self, _: Kind, _: u64) -> Result<u64, Fault> {
+    fn skip_zeros(&mut self, _: Number, _: u64) -> Result<u64, Fault> {
         Ok(0)
     }
 }

@@ -6,9 +6,10 @@
 use super::attribute::{Attribute, Carrier};
 use super::lines::{Dialect, Line, Text, Wrong, integer, unexpected, words};
 use super::map::Input;
-use super::ply_header::{Element, Header, Kind, Property, Role, Shape, shown};
+use super::ply_header::{Element, Header, Property, Role, Shape, shown};
 use super::ply_records::no_such_vertex;
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::Number;
 use crate::progress::Progress;
 use ply_rs::ply::Encoding;
 
@@ -163,12 +164,12 @@ fn binary(input: &Input, head: &[u8], payload: usize, carried: Carried) -> Resul
         u64::try_from(n).map_err(|_| Error::input(input.path(), format!("counts {n} vertices or faces")))
     };
     let (vertices, faces) = (count(0)?, count(4)?);
-    let number = |role| Property { role, shape: Shape::Scalar(Kind::F32), name: String::new() };
+    let number = |role| Property { role, shape: Shape::Scalar(Number::F32), name: String::new() };
     let extra = 3 * usize::from(carried.normals) + 4 * usize::from(carried.colours) + 2 * usize::from(carried.uvs);
     let axes = (0..3).map(|axis| number(Role::Axis(axis)));
     let vertex = axes.chain((0..extra).map(|_| number(Role::Other))).collect();
-    let list = |role, item| Property { role, shape: Shape::List { count: Kind::I32, item }, name: String::new() };
-    let face = vec![list(Role::Corners, Kind::I32), list(Role::Other, Kind::F32)];
+    let list = |role, item| Property { role, shape: Shape::List { count: Number::I32, item }, name: String::new() };
+    let face = vec![list(Role::Corners, Number::I32), list(Role::Other, Number::F32)];
     Ok(Header {
         encoding: Encoding::BinaryBigEndian,
         payload: payload as u64 + 12,

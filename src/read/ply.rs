@@ -10,12 +10,13 @@ use super::attribute::Attribute;
 use super::cursor::Cursor;
 use super::map::Input;
 use super::ply_binary::{BadFace, Binary, TriangleRecord, VertexRecord, decode_column};
-use super::ply_header::{self, Element, Header, Kind, Role, Shape};
+use super::ply_header::{self, Element, Header, Role, Shape};
 use super::ply_records::{Counted, Records, Row};
 use super::stream::{CHUNK, Crew, Numbering, Run, pump_decoded};
 use super::{CarriedChunk, CarriedStep, Format, TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
 use crate::mesh::columns::Column;
+use crate::mesh::columns::Number;
 use crate::progress::Progress;
 use ply_rs::ply::Encoding;
 
@@ -341,7 +342,7 @@ impl Ply {
             };
         };
         let numbers = Numbering::default();
-        let places: Vec<(usize, Kind)> = wanted
+        let places: Vec<(usize, Number)> = wanted
             .iter()
             .filter_map(|i| match self.vertex.properties[*i].shape {
                 Shape::Scalar(kind) => Some((self.vertex.offset_of(*i), kind)),

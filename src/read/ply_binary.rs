@@ -1,27 +1,27 @@
 //! Binary PLY payloads: tight loops over records of one length, and [`Binary`] values for all others.
 
 use super::cursor::Cursor;
-use super::ply_header::Kind;
 use super::ply_records::{Fault, Values, no_such_vertex};
+use crate::mesh::columns::Number;
 
 /// Calls `$body` with `$get` bound to a function from the first bytes of a slice to the number of that kind.
 macro_rules! with_kind {
     ($kind:expr, $big:expr, |$get:ident| $body:expr) => {
         match ($kind, $big) {
-            (Kind::I8, _) => with_kind!(@ i8, from_ne_bytes, $get, $body),
-            (Kind::U8, _) => with_kind!(@ u8, from_ne_bytes, $get, $body),
-            (Kind::I16, false) => with_kind!(@ i16, from_le_bytes, $get, $body),
-            (Kind::I16, true) => with_kind!(@ i16, from_be_bytes, $get, $body),
-            (Kind::U16, false) => with_kind!(@ u16, from_le_bytes, $get, $body),
-            (Kind::U16, true) => with_kind!(@ u16, from_be_bytes, $get, $body),
-            (Kind::I32, false) => with_kind!(@ i32, from_le_bytes, $get, $body),
-            (Kind::I32, true) => with_kind!(@ i32, from_be_bytes, $get, $body),
-            (Kind::U32, false) => with_kind!(@ u32, from_le_bytes, $get, $body),
-            (Kind::U32, true) => with_kind!(@ u32, from_be_bytes, $get, $body),
-            (Kind::F32, false) => with_kind!(@ f32, from_le_bytes, $get, $body),
-            (Kind::F32, true) => with_kind!(@ f32, from_be_bytes, $get, $body),
-            (Kind::F64, false) => with_kind!(@ f64, from_le_bytes, $get, $body),
-            (Kind::F64, true) => with_kind!(@ f64, from_be_bytes, $get, $body),
+            (Number::I8, _) => with_kind!(@ i8, from_ne_bytes, $get, $body),
+            (Number::U8, _) => with_kind!(@ u8, from_ne_bytes, $get, $body),
+            (Number::I16, false) => with_kind!(@ i16, from_le_bytes, $get, $body),
+            (Number::I16, true) => with_kind!(@ i16, from_be_bytes, $get, $body),
+            (Number::U16, false) => with_kind!(@ u16, from_le_bytes, $get, $body),
+            (Number::U16, true) => with_kind!(@ u16, from_be_bytes, $get, $body),
+            (Number::I32, false) => with_kind!(@ i32, from_le_bytes, $get, $body),
+            (Number::I32, true) => with_kind!(@ i32, from_be_bytes, $get, $body),
+            (Number::U32, false) => with_kind!(@ u32, from_le_bytes, $get, $body),
+            (Number::U32, true) => with_kind!(@ u32, from_be_bytes, $get, $body),
+            (Number::F32, false) => with_kind!(@ f32, from_le_bytes, $get, $body),
+            (Number::F32, true) => with_kind!(@ f32, from_be_bytes, $get, $body),
+            (Number::F64, false) => with_kind!(@ f64, from_le_bytes, $get, $body),
+            (Number::F64, true) => with_kind!(@ f64, from_be_bytes, $get, $body),
         }
     };
     (@ $type:ty, $from:ident, $get:ident, $body:expr) => {{
@@ -41,7 +41,7 @@ pub(super) struct VertexRecord {
     pub stride: usize,
     pub big: bool,
     /// Offset and type of x, y and z.
-    pub axes: [(usize, Kind); 3],
+    pub axes: [(usize, Number); 3],
 }
 
 impl VertexRecord {
@@ -51,8 +51,8 @@ impl VertexRecord {
         let [(x, kind), (y, ykind), (z, zkind)] = self.axes;
         let together = ykind == kind && zkind == kind && y == x + kind.bytes() && z == y + kind.bytes();
         match (kind, together && !self.big, self.stride) {
-            (Kind::F32, true, 12) => out.extend(records.as_chunks::<12>().0.iter().map(|r| xyz_f32(r))),
-            (Kind::F32, true, stride) => out.extend(records.chunks_exact(stride).map(|r| xyz_f32(&r[x..x + 12]))),
+            (Number::F32, true, 12) => out.extend(records.as_chunks::<12>().0.iter().map(|r| xyz_f32(r))),
+            (Number::F32, true, stride) => out.extend(records.chunks_exact(stride).map(|r| xyz_f32(&r[x..x + 12]))),
             _ => self.decode_by_axis(records, out),
         }
     }
@@ -73,7 +73,7 @@ impl VertexRecord {
 
 /// Decodes a number of each of whole records of one length into every so many-th place.
 #[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
-pub(super) fn decode_column(records: &[u8], stride: usize, at: (usize, Kind, bool), out: &mut [f64], every: usize) {
+pub(super) fn decode_column(records: &[u8], stride: usize, at: (usize, Number, bool), out: &mut [f64], every: usize) {
     let (offset, kind, big) = at;
     with_kind!(kind, big, |get| {
         for (value, record) in out.iter_mut().step_by(every).zip(records.chunks_exact(stride)) {
@@ -95,8 +95,8 @@ pub(super) struct TriangleRecord {
     pub big: bool,
     /// Offset of the list's count.
     pub offset: usize,
-    pub count: Kind,
-    pub index: Kind,
+    pub count: Number,
+    pub index: Number,
 }
 
 /// What is wrong with a face.
@@ -226,7 +226,7 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
 
     #[inline]
     #[expect(clippy::useless_conversion, reason = "one expression for every type of number")]
-    fn number(&mut self, kind: Kind) -> Result<f64, Fault> {
+    fn number(&mut self, kind: Number) -> Result<f64, Fault> {
         let bytes = self.take(kind.bytes())?;
         let number = with_kind!(kind, BIG, |get| get(bytes).into());
         self.0.at += kind.bytes() as u64;
@@ -234,14 +234,14 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
     }
 
     #[inline]
-    fn integer(&mut self, kind: Kind) -> Result<i64, Fault> {
+    fn integer(&mut self, kind: Number) -> Result<i64, Fault> {
         let bytes = self.take(kind.bytes())?;
         let number = with_kind!(kind, BIG, |get| get(bytes) as i64);
         self.0.at += kind.bytes() as u64;
         Ok(number)
     }
 
-    fn indices(&mut self, kind: Kind, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault> {
+    fn indices(&mut self, kind: Number, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault> {
         let (at, size, from) = (self.0.at, kind.bytes(), corners.len());
         let bytes = self.take(n * size)?;
         let mut sound = true;
@@ -262,7 +262,7 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
     }
 
     #[inline]
-    fn skip(&mut self, kind: Kind, n: u64) -> Result<(), Fault> {
+    fn skip(&mut self, kind: Number, n: u64) -> Result<(), Fault> {
         let bytes = n * kind.bytes() as u64;
         if self.0.left() < bytes {
             return Err(Fault::End);
@@ -272,7 +272,7 @@ impl<'a, const BIG: bool> Values<'a> for Binary<'a, BIG> {
     }
 
     #[inline]
-    fn skip_zeros(&mut self, count: Kind, most: u64) -> Result<u64, Fault> {
+    fn skip_zeros(&mut self, count: Number, most: u64) -> Result<u64, Fault> {
         let size = count.bytes();
         let mut skipped = 0;
         while skipped < most {
@@ -307,12 +307,12 @@ mod tests {
     use super::*;
 
     /// Records of `before` bytes, a count, three indices and `behind` bytes.
-    fn record(before: usize, behind: usize, count: Kind, index: Kind, big: bool) -> TriangleRecord {
+    fn record(before: usize, behind: usize, count: Number, index: Number, big: bool) -> TriangleRecord {
         let stride = before + count.bytes() + 3 * index.bytes() + behind;
         TriangleRecord { stride, big, offset: before, count, index }
     }
 
-    fn put(bytes: &mut [u8], at: usize, kind: Kind, big: bool, number: i64) {
+    fn put(bytes: &mut [u8], at: usize, kind: Number, big: bool, number: i64) {
         let (le, len) = (number.to_le_bytes(), kind.bytes());
         let place = &mut bytes[at..at + len];
         place.copy_from_slice(&le[..len]);
@@ -334,7 +334,7 @@ mod tests {
 
     #[test]
     fn every_layout_of_triangles_is_decoded_or_refused_at_the_right_byte() {
-        const INTEGERS: [Kind; 6] = [Kind::I8, Kind::U8, Kind::I16, Kind::U16, Kind::I32, Kind::U32];
+        const INTEGERS: [Number; 6] = [Number::I8, Number::U8, Number::I16, Number::U16, Number::I32, Number::U32];
         let sound: Vec<(i64, [i64; 3])> = (0..40).map(|i| (3, [i, i + 1, (i * 7) % 42])).collect();
         for count in INTEGERS {
             for index in INTEGERS {
@@ -360,8 +360,8 @@ mod tests {
 
     #[test]
     fn a_negative_index_is_none_however_many_vertices_there_are() {
-        for index in [Kind::I8, Kind::I16, Kind::I32] {
-            let record = record(0, 0, Kind::U8, index, false);
+        for index in [Number::I8, Number::I16, Number::I32] {
+            let record = record(0, 0, Number::U8, index, false);
             let refused = record.decode(&encode(&record, &[(3, [0, 1, -2])]), u64::MAX, &mut Vec::new()).unwrap_err();
             assert!(refused.what.starts_with("index -2, but"), "{}", refused.what);
         }

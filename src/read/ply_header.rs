@@ -18,82 +18,17 @@ pub(super) const MOST_COLUMNS: usize = 13;
 /// The longest header that is read.
 const HEADER_BYTES: u64 = 1 << 20;
 
-/// The type of a number in the file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Kind {
-    /// Bytes of one in a binary file.
-    pub fn bytes(self) -> usize {
-        match self {
-            Kind::I8 | Kind::U8 => 1,
-            Kind::I16 | Kind::U16 => 2,
-            Kind::I32 | Kind::U32 | Kind::F32 => 4,
-            Kind::F64 => 8,
-        }
-    }
-
-    /// Whether it counts and points.
-    pub fn is_integer(self) -> bool {
-        !matches!(self, Kind::F32 | Kind::F64)
-    }
-
-    /// Whether `f32` holds every value.
-    pub fn fits_f32(self) -> bool {
-        !matches!(self, Kind::I32 | Kind::U32 | Kind::F64)
-    }
-
-    /// One more than the largest value that it can hold as an index.
-    pub fn index_limit(self) -> u64 {
-        match self {
-            Kind::I8 => 1 << 7,
-            Kind::U8 => 1 << 8,
-            Kind::I16 => 1 << 15,
-            Kind::U16 => 1 << 16,
-            Kind::I32 => 1 << 31,
-            _ => 1 << 32,
-        }
-    }
-
-    /// The same as others call it.
-    pub fn number(self) -> Number {
-        match self {
-            Kind::I8 => Number::I8,
-            Kind::U8 => Number::U8,
-            Kind::I16 => Number::I16,
-            Kind::U16 => Number::U16,
-            Kind::I32 => Number::I32,
-            Kind::U32 => Number::U32,
-            Kind::F32 => Number::F32,
-            Kind::F64 => Number::F64,
-        }
-    }
-
-    /// What PLY calls it.
-    pub fn word(self) -> &'static str {
-        self.number().word()
-    }
-
-    fn of(scalar: &ScalarType) -> Kind {
-        match scalar {
-            ScalarType::Char => Kind::I8,
-            ScalarType::UChar => Kind::U8,
-            ScalarType::Short => Kind::I16,
-            ScalarType::UShort => Kind::U16,
-            ScalarType::Int => Kind::I32,
-            ScalarType::UInt => Kind::U32,
-            ScalarType::Float => Kind::F32,
-            ScalarType::Double => Kind::F64,
-        }
+/// The type of a number, by the header's word.
+fn number(scalar: &ScalarType) -> Number {
+    match scalar {
+        ScalarType::Char => Number::I8,
+        ScalarType::UChar => Number::U8,
+        ScalarType::Short => Number::I16,
+        ScalarType::UShort => Number::U16,
+        ScalarType::Int => Number::I32,
+        ScalarType::UInt => Number::U32,
+        ScalarType::Float => Number::F32,
+        ScalarType::Double => Number::F64,
     }
 }
 
@@ -111,8 +46,8 @@ pub(super) enum Role {
 /// One number, or a counted list of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Shape {
-    Scalar(Kind),
-    List { count: Kind, item: Kind },
+    Scalar(Number),
+    List { count: Number, item: Number },
 }
 
 /// A property of an element.
@@ -159,7 +94,7 @@ impl Element {
                 && !known
                 && found.len() < MOST_COLUMNS
             {
-                let column = Column { name: name.into(), number: kind.number(), meaning: Meaning::of(name) };
+                let column = Column { name: name.into(), number: kind, meaning: Meaning::of(name) };
                 found.push((i, column));
             }
         }
@@ -278,8 +213,8 @@ fn element(def: &ElementDef, names: &FxHashMap<String, String>) -> Element {
     let has_indices = def.properties.contains_key("vertex_indices");
     let property = |(name, def): (&String, &ply_rs::ply::PropertyDef)| {
         let shape = match &def.data_type {
-            PropertyType::Scalar(kind) => Shape::Scalar(Kind::of(kind)),
-            PropertyType::List(count, item) => Shape::List { count: Kind::of(count), item: Kind::of(item) },
+            PropertyType::Scalar(kind) => Shape::Scalar(number(kind)),
+            PropertyType::List(count, item) => Shape::List { count: number(count), item: number(item) },
         };
         let role = match (kind, name.as_str()) {
             ("vertex", "x") => Role::Axis(0),

@@ -4,8 +4,9 @@
 //! every record has the same length nothing of this is used: see `ply_binary`.
 
 use super::cursor::Cursor;
-use super::ply_header::{Element, Kind, MOST_COLUMNS, Property, Role, Shape};
+use super::ply_header::{Element, MOST_COLUMNS, Property, Role, Shape};
 use crate::error::{Error, Item, Result};
+use crate::mesh::columns::Number;
 use std::path::Path;
 
 /// The most corners of a polygon: far beyond what any tool writes, and a bound on what one record makes us hold.
@@ -38,15 +39,15 @@ pub(super) trait Values<'a> {
     /// The byte that is next.
     fn at(&self) -> u64;
     /// One number.
-    fn number(&mut self, kind: Kind) -> Result<f64, Fault>;
+    fn number(&mut self, kind: Number) -> Result<f64, Fault>;
     /// One whole number.
-    fn integer(&mut self, kind: Kind) -> Result<i64, Fault>;
+    fn integer(&mut self, kind: Number) -> Result<i64, Fault>;
     /// `n` indices, each below `limit`, appended to `corners`.
-    fn indices(&mut self, kind: Kind, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault>;
+    fn indices(&mut self, kind: Number, n: usize, limit: u64, corners: &mut Vec<u32>) -> Result<(), Fault>;
     /// Passes over `n` numbers.
-    fn skip(&mut self, kind: Kind, n: u64) -> Result<(), Fault>;
+    fn skip(&mut self, kind: Number, n: u64) -> Result<(), Fault>;
     /// Passes over at most `most` counts of 0, where that can be done faster than one by one.
-    fn skip_zeros(&mut self, count: Kind, most: u64) -> Result<u64, Fault>;
+    fn skip_zeros(&mut self, count: Number, most: u64) -> Result<u64, Fault>;
 }
 
 /// An index that no vertex has.
@@ -63,7 +64,7 @@ pub(super) struct Records<'a, V> {
     ordinal: u64,
     vertices: u64,
     corners: Vec<u32>,
-    bare_list: Option<Kind>,
+    bare_list: Option<Number>,
 }
 
 /// What [`Records::count`] found.
@@ -244,7 +245,7 @@ impl<'a, V: Values<'a>> Records<'a, V> {
 }
 
 #[inline(always)]
-fn list_length<'a>(values: &mut impl Values<'a>, kind: Kind) -> Result<u64, Fault> {
+fn list_length<'a>(values: &mut impl Values<'a>, kind: Number) -> Result<u64, Fault> {
     let byte = values.at();
     let n = values.integer(kind)?;
     u64::try_from(n).map_err(|_| Fault::Wrong(byte, format!("a list of {n} values")))
