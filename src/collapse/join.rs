@@ -13,7 +13,7 @@ const MOST: usize = 8;
 
 /// What share of a vertex's edges' mean length is near by itself. On the bones of a foot at a tenth of their faces and less, a
 /// quarter to a half is closer to the scan than no pairs at all, and the whole length up to twice as far off.
-const AUTO_SHARE: f64 = 1.0 / 6.0;
+const AUTO_SHARE: f64 = 0.25;
 
 /// The pairs, from either side.
 #[derive(Debug, Default)]
