@@ -58,6 +58,8 @@ const ROUND_BYTES: u64 = 24;
 /// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too.
 const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
 const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
+/// Scratch that no scan is too small for.
+const LEAST_SAMPLE_SCRATCH_BYTES: u64 = 64 * MIB;
 /// Where cells are coarser than the intermediate mesh that is aimed at asks for, samples make up for some of it: as many
 /// more as the square of what is missing, up to this. On a noisy scan at eight times the target they are 56 in place of 36 a
 /// face, and E_avg is 0.8 % less.
@@ -162,7 +164,7 @@ impl Purse {
             return 0;
         }
         let vertices = scan.vertex_count().min(scan.triangle_count());
-        let on_scratch = (SAMPLE_SCRATCH_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        let on_scratch = scratch_samples(SAMPLE_SCRATCH_BYTES, vertices);
         let most = (self.samples_at_once(target) as f64 / SAMPLES_MARGIN) as u64;
         let coarser = (AIM / ratio).clamp(1.0, MOST_COARSER);
         let samples = (refit::SAMPLES as f64 * coarser * coarser * target as f64) as u64;
@@ -178,7 +180,7 @@ impl Purse {
         if scan.layout() == Layout::Soup || cluster::resident_spill_bytes(vertices) <= spill_resident_bytes {
             return samples;
         }
-        let on_scratch = (SAMPLE_SCRATCH_BESIDE_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        let on_scratch = scratch_samples(SAMPLE_SCRATCH_BESIDE_BYTES, vertices);
         samples.min(on_scratch.max((refit::LEAST_SAMPLES as u64 + 1).saturating_mul(self.ask.target)))
     }
 
@@ -322,6 +324,11 @@ fn aside(bytes: u64) -> u64 {
 /// The same where no spill is looked into.
 fn aside_without_spill(bytes: u64) -> u64 {
     aside(bytes).min(streaming_bytes(8) - 8 * cluster::bytes_per_spill_worker() as u64)
+}
+
+/// Samples that scratch has room for.
+fn scratch_samples(bytes_a_vertex: f64, vertices: u64) -> u64 {
+    LEAST_SAMPLE_SCRATCH_BYTES.max((bytes_a_vertex * vertices as f64) as u64) / SAMPLE_BYTES as u64
 }
 
 /// Cells for an intermediate mesh of `ratio` times `target` faces.
