@@ -31,7 +31,7 @@ pub use clock::{Deadline, local_time};
 pub use ledger::{Fingerprint, Ledger, Lock};
 pub use night::{Night, Watcher};
 pub use plan::{Plan, PlanOptions, Problem, Shard, Task, TaskFacts};
-pub use process::rss_bytes;
+pub use process::{reset_peak, rss_bytes};
 pub use report::{NightReport, OutputFile, Row, Status, Totals, Trouble, merge};
 pub use schedule::{Running, Standing};
 pub use worker::work;
