@@ -18,6 +18,7 @@
 mod clock;
 mod crew;
 mod expand;
+mod glance;
 mod ledger;
 mod night;
 mod plan;
@@ -28,6 +29,7 @@ mod template;
 mod worker;
 
 pub use clock::{Deadline, local_time};
+pub use glance::Glance;
 pub use ledger::{Fingerprint, Ledger, Lock};
 pub use night::{Night, Watcher};
 pub use plan::{Plan, PlanOptions, Problem, Shard, Task, TaskFacts};

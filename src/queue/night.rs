@@ -269,9 +269,7 @@ impl<'a> Night<'a> {
     fn order(&self, task: &Task, budget: u64) -> Order {
         let mut job = task.job.clone();
         job.run.memory = Some(Size(budget));
-        // Small scans run side by side, a big one has all threads: neither changes a byte.
-        let threads = if task.is_small() && self.plan.workers > 1 { 1 } else { self.plan.threads };
-        job.run.threads = Some(Threads(threads));
+        job.run.threads = Some(Threads(self.plan.threads_of(task)));
         let portrait = self.plan.pictures.then(|| self.portrait(task));
         Order { scan: task.scan.clone(), job, outputs: task.outputs.clone(), portrait }
     }

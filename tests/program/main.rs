@@ -6,6 +6,7 @@ mod carry;
 mod compare;
 mod counts;
 mod determinism;
+mod faults;
 mod formats;
 mod inspect;
 mod interrupt;
