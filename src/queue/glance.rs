@@ -47,7 +47,7 @@ fn of(head: &[u8], bytes: u64) -> Glance {
     let stl = head.get(80..84).and_then(|n| n.try_into().ok()).map(|n| u64::from(u32::from_le_bytes(n)));
     let faces = match stl {
         _ if packed => bytes / PACKED_BYTES,
-        Some(n) if n <= bytes / STL_BYTES && !head.starts_with(b"solid") => n,
+        Some(n) if n > 0 && n <= bytes / STL_BYTES && !head.starts_with(b"solid") => n,
         _ if head.iter().all(|byte| byte.is_ascii()) => bytes / TEXT_BYTES,
         _ => bytes / STL_BYTES,
     };

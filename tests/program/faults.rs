@@ -65,7 +65,7 @@ fn what_befalls_one_scan_is_one_failed_row() {
 fn what_a_failed_scan_has_written_is_taken_back() {
     let folder = archive();
     // Reduced in no time, and measured for long.
-    let samples = JOB.replace("64MiB", "2GiB").replace("2000", "60M");
+    let samples = JOB.replace("64MiB", "2GiB").replace("2000", "60_000_000");
     folder.file("night.toml", format!("{samples}[night]\nscan_time = '2s'\npictures = false\n"));
     let older = folder.path("out/torus.200.ply");
     fs::create_dir_all(folder.path("out")).unwrap();
