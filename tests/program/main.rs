@@ -1,6 +1,7 @@
 //! The whole program, as its users run it: what it promises of results, memory and bytes, and what it does with bad input.
 
 mod bad_input;
+mod bench;
 mod borders;
 mod carry;
 mod compare;
