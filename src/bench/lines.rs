@@ -128,9 +128,9 @@ fn further_line(row: &ContinuedRow) -> String {
 
 fn floor_line(floor: &Floor) -> String {
     let rate =
-        |seconds: f64| format!("{} ({:.0} M a second)", self::seconds(seconds), floor.faces as f64 / seconds / 1e6);
+        |seconds: f64| format!("{} s ({:.0} M a second)", self::seconds(seconds), floor.faces as f64 / seconds / 1e6);
     format!(
-        "floor: a pass that reads the corners of {} in the mapped file and adds up areas: {} s on one thread, {} s on two",
+        "floor: a pass that reads the corners of {} in the mapped file and adds up areas: {} on one thread, {} on two",
         count(floor.faces, "face"),
         rate(floor.one_thread),
         rate(floor.two_threads)

@@ -267,7 +267,8 @@ impl Page<'_> {
         html += &cell("Memory", peak, Some(format!("of {}", memory(row.budget))));
         let share = share.map(|share| format!("{} % of the diagonal", length(100.0 * share)));
         html += &cell("Deviation", rms.map(length), share);
-        html += &cell("Warnings", Some(warnings.len().to_string()), None);
+        let none = if warnings.is_empty() { " class=\"zero\"" } else { "" };
+        _ = write!(html, "<td data-label=\"Warnings\"{none}>{}</td>", warnings.len());
         html + "</tr>" + &self.more(row, &warnings, views) + "</tbody>"
     }
 
