@@ -9,6 +9,8 @@ const LEFT: f64 = 76.0;
 const RIGHT: f64 = 24.0;
 const ABOVE: f64 = 64.0;
 const BELOW: f64 = 58.0;
+/// Where the lines' names begin.
+const KEY: f64 = 376.0;
 
 const STYLE: &str = "text{font:13px system-ui,-apple-system,'Segoe UI',Roboto,sans-serif;fill:#454d57}\
      .title{font-size:17px;font-weight:600;fill:#1d2126}.tick{stroke:#e4e7ea}.minor{stroke:#f2f3f5}\
@@ -37,20 +39,22 @@ impl Table63 {
              reading and clustering counted</text>"
         );
         axes.draw(&mut svg);
+        let series_count = series.len();
         for (i, series) in series.iter().enumerate() {
             series.draw(&axes, &mut svg);
-            let y = ABOVE + 22.0 + 22.0 * i as f64;
+            // Where times are short and models large is room.
+            let y = HEIGHT - BELOW - 16.0 - 22.0 * (series_count - 1 - i) as f64;
             let dash = if series.dashed { " stroke-dasharray=\"7 5\"" } else { "" };
             _ = write!(
                 svg,
                 "<line x1=\"{:.0}\" x2=\"{:.0}\" y1=\"{:.1}\" y2=\"{:.1}\" stroke=\"{}\" stroke-width=\"2.2\"{dash}/>\
                  <text x=\"{:.0}\" y=\"{y:.1}\">{}</text>",
-                LEFT + 14.0,
-                LEFT + 42.0,
+                KEY,
+                KEY + 28.0,
                 y - 4.5,
                 y - 4.5,
                 series.colour,
-                LEFT + 50.0,
+                KEY + 36.0,
                 series.name
             );
         }

@@ -102,7 +102,7 @@ impl Table63 {
         ];
         lines.extend(self.continued.iter().map(further_line));
         if let Some(exponent) = self.exponents.continued {
-            lines.push(format!("time grows like faces to the power of {exponent:.2}"));
+            lines.push(format!("out of core time grows like faces to the power of {exponent:.2}"));
         }
         lines
     }

@@ -119,7 +119,7 @@ pub struct Exponents {
     pub one_thread: f64,
     /// On all.
     pub all_threads: f64,
-    /// Of the larger scans, where there are several.
+    /// Of larger scans that are clustered, where there are several.
     pub continued: Option<f64>,
 }
 
@@ -194,7 +194,9 @@ pub fn table_6_3(options: &Table63Options, progress: &Progress) -> Result<Table6
         thesis: exponent(TABLE.iter().map(|row| (row.faces as f64, row.total()))).unwrap_or(f64::NAN),
         one_thread: of(&|row| row.complete[0].total()),
         all_threads: of(&|row| row.complete[1].total()),
-        continued: exponent(continued.iter().map(|row| (row.faces as f64, row.total()))),
+        continued: exponent(
+            continued.iter().filter(|row| row.mode == Mode::OutOfCore).map(|row| (row.faces as f64, row.total())),
+        ),
     };
     let Table63Options { threads, runs, .. } = *options;
     Ok(Table63 { threads, runs, models, exponents, policies, bytes_a_vertex, floor, continued })

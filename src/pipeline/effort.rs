@@ -74,7 +74,9 @@ impl Effort {
                 work += per(CARRY, faces) + per(CARRY_RESULT, *target as f64);
             }
             if self.samples > 0 {
-                work += per(MEASURE, faces) + per(MEASURE_RESULT, *target as f64) + per(POINT, self.samples as f64);
+                let kept = (4.0 * faces).min(MOST_KEPT);
+                work += per(MEASURE, faces) + per(MEASURE_RESULT, *target as f64);
+                work += per(KEPT, kept) + per(POINT, self.samples as f64);
             }
         }
         if self.pictures {
@@ -115,14 +117,16 @@ const CLUSTER: f64 = 0.22;
 /// what vertices carry, for a face of the scan and one of the result;
 const CARRY: f64 = 0.15;
 const CARRY_RESULT: f64 = 6.0;
-/// what is measured: a face of the scan, one of the result, a point;
+/// what is measured: a face of the scan, one of the result, a point, one that is kept to tell what is near;
 const MEASURE: f64 = 0.17;
 const MEASURE_RESULT: f64 = 1.2;
-const POINT: f64 = 8.6;
+const POINT: f64 = 1.6;
+const KEPT: f64 = 0.45;
+const MOST_KEPT: f64 = 524_288.0;
 /// and a face in a picture.
 const DRAW: f64 = 0.14;
 /// Seconds of a picture of nothing.
-const PICTURE: f64 = 0.26;
+const PICTURE: f64 = 0.2;
 
 #[cfg(test)]
 mod tests {
