@@ -19,6 +19,7 @@ mod oddities;
 mod precision;
 mod render;
 mod support;
+mod thesis;
 mod uneven;
 
 /// A budget in which scans of 100,000 faces and more go out of core.
