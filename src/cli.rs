@@ -44,6 +44,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Work on reports of nights
     Report(ReportArgs),
+    /// Measure how fast this machine reduces, beside what is printed of others
+    Bench(BenchArgs),
     /// Reduce what stdin says: how `run` works
     #[command(hide = true)]
     Worker(WorkerArgs),
@@ -416,6 +418,62 @@ pub struct MergeArgs {
     pub output: Option<PathBuf>,
 
     /// One JSON object on stdout; words go to stderr
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `meshmill bench`
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// What to measure.
+    #[command(subcommand)]
+    pub command: BenchCommand,
+}
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// Complete decimation of the twelve models of Garland's thesis, and of larger scans
+    #[command(name = "table-6.3")]
+    Table63(Table63Args),
+}
+
+/// `meshmill bench table-6.3`
+#[derive(Debug, Args)]
+pub struct Table63Args {
+    /// The folder of the models, bunny.ply and so on; what is not there is made [default: table63 below MESHMILL_MODELS]
+    #[arg(long, value_name = "DIR")]
+    pub models: Option<PathBuf>,
+
+    /// Go on with larger scans, like 5M,28M,100M; they are made, 19 bytes a face, one at a time
+    #[arg(long = "continue", value_name = "FACES", value_delimiter = ',', allow_negative_numbers = true)]
+    pub continued: Vec<Count>,
+
+    /// Bound on resident memory for larger scans
+    #[arg(long, value_name = "SIZE", default_value = "1GiB", allow_negative_numbers = true)]
+    pub memory: Size,
+
+    /// Threads of the second column, and of larger scans [default: the cores]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub threads: Option<Threads>,
+
+    /// Runs that medians are of
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=99))]
+    pub runs: u8,
+
+    /// Models of this many faces at most: larger ones are made smaller, for a try
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub most_faces: Option<Count>,
+
+    /// Folder for what is made
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub scratch: PathBuf,
+
+    /// Write table-6.3.json and table-6.3.svg into this folder
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+
+    /// One JSON object on stdout; progress and words go to stderr
     #[arg(long)]
     pub json: bool,
 }

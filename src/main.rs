@@ -14,11 +14,12 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
-use cli::{Cli, Command, CompareArgs, InspectArgs, RenderArgs, RunArgs, SynthArgs};
-use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile, RenderingSaid};
+use cli::{BenchArgs, BenchCommand, Cli, Command, CompareArgs, InspectArgs, RenderArgs, RunArgs, SynthArgs};
+use meshmill::bench::{Table63Options, table_6_3};
+use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile, RenderingSaid, cores};
 use meshmill::progress::Progress;
 use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
-use meshmill::write::is_stdout;
+use meshmill::write::{WholeFile, is_stdout};
 use meshmill::{Error, Result, pipeline, synth};
 
 fn main() -> ExitCode {
@@ -31,6 +32,7 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Synth(args) }) => make_scan(&args),
         Ok(Cli { command: Command::Render(args) }) => render(args),
         Ok(Cli { command: Command::Report(args) }) => night::merge(args),
+        Ok(Cli { command: Command::Bench(args) }) => bench(args),
         Ok(Cli { command: Command::Worker(args) }) => night::work(&args),
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
@@ -111,6 +113,41 @@ fn render(args: RenderArgs) -> ExitCode {
     let outcome = RenderingSaid::from(args).resolve();
     let outcome = outcome.and_then(|rendering| working(|progress| pipeline::render(&rendering, progress)));
     conclude(outcome.map(|report| Saying::new(json(&report), vec![report.line()])), in_json)
+}
+
+/// The thesis's models are in a folder of their own among others.
+fn thesis_models() -> Option<PathBuf> {
+    let folder = PathBuf::from(std::env::var_os("MESHMILL_MODELS")?);
+    Some(Some(folder.join("table63")).filter(|inner| inner.is_dir()).unwrap_or(folder))
+}
+
+fn bench(args: BenchArgs) -> ExitCode {
+    let BenchCommand::Table63(args) = args.command;
+    let options = Table63Options {
+        models: args.models.or_else(thesis_models),
+        continued: args.continued.iter().map(|faces| faces.0).collect(),
+        memory: args.memory,
+        threads: args.threads.map_or_else(cores, |threads| threads.0),
+        runs: args.runs.into(),
+        scratch: args.scratch,
+        most_faces: args.most_faces.map_or(u64::MAX, |faces| faces.0),
+    };
+    let outcome = working(|progress| {
+        let files = match &args.output {
+            Some(folder) => {
+                let file = |name: &str| WholeFile::prepare(&folder.join(name), None);
+                Some((file("table-6.3.json")?, file("table-6.3.svg")?))
+            }
+            None => None,
+        };
+        let table = table_6_3(&options, progress)?;
+        if let Some((object, chart)) = files {
+            object.write(format!("{}\n", json(&table)).as_bytes(), progress)?;
+            chart.write(table.svg().as_bytes(), progress)?;
+        }
+        Ok(Saying::new(json(&table), table.lines()))
+    });
+    conclude(outcome, args.json)
 }
 
 /// The job in full, as a job file that can be run from anywhere.

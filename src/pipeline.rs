@@ -1,6 +1,7 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
 mod compare;
+mod effort;
 mod forecast;
 mod inspect;
 mod levels;
@@ -8,6 +9,7 @@ mod portrait;
 mod render;
 
 pub use compare::compare;
+pub use effort::Effort;
 pub use forecast::{Forecast, forecast};
 pub use inspect::inspect;
 pub use portrait::PortraitAsked;

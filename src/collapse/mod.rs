@@ -128,10 +128,10 @@ pub struct Collapsed<S> {
 
 /// From how many times the target on the current faces choose, and learnt quadrics advise. After a refit, 10 and 7 are no
 /// better on seven of eight models (the femur gains 5 %), and take twice the time from ten times the target on.
-const LAST_FACTOR: usize = 5;
+pub const LAST_FACTOR: usize = 5;
 
 /// At how many times the target the reference is kept: a tenth as many samples lose 2 % against all, a fifth 9 %.
-const REFERENCE_FACTOR: usize = 10;
+pub const REFERENCE_FACTOR: usize = 10;
 
 /// Weight of the learnt quadric in the cost of the last factor. 0 erodes thin parts (1.66 × QSlim's E_avg on the cow at 300
 /// faces against 0.72), 1 costs 10 % on smooth ones (femur).

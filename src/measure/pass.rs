@@ -9,6 +9,9 @@ use crate::mesh::boxes::Origin;
 use crate::mesh::{Coordinate, Extent, Tree};
 use glam::{DVec3, Vec3};
 
+/// Points of one face at most: they say what is near before faces do, and a small scan is soon done by its faces alone.
+const MOST_OF_EACH: u64 = 4;
+
 /// Which points of the mesh are kept: so many of every so many faces.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kept {
@@ -19,7 +22,7 @@ pub(super) struct Kept {
 impl Kept {
     /// About `points` of a mesh of so many faces.
     pub(super) fn new(faces: u64, points: u64) -> Self {
-        Kept { faces: Stride::new(faces, points), of_each: (points / faces.max(1)).max(1) }
+        Kept { faces: Stride::new(faces, points), of_each: (points / faces.max(1)).clamp(1, MOST_OF_EACH) }
     }
 }
 

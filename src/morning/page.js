@@ -32,11 +32,23 @@
     row.onclick = function (e) { if (!e.target.closest("a,code")) turn(g); };
     row.onkeydown = function (e) { if (e.key === "Enter" || e.key === " ") { e.preventDefault(); turn(g); } };
   });
-  var search = document.getElementById("search");
+  var search = document.getElementById("search"), found = document.getElementById("found");
   if (search) search.oninput = function () {
-    var words = search.value.toLowerCase();
-    groups.forEach(function (g) { g.style.display = g.dataset.k1.toLowerCase().indexOf(words) < 0 ? "none" : ""; });
+    var words = search.value.toLowerCase(), n = 0;
+    groups.forEach(function (g) {
+      var is = g.dataset.k1.toLowerCase().indexOf(words) >= 0;
+      g.style.display = is ? "" : "none";
+      n += is;
+    });
+    found.textContent = words ? n + " of " + groups.length : "";
   };
+  var ways = Array.from(document.querySelectorAll("[data-as]"));
+  ways.forEach(function (way) {
+    way.onclick = function () {
+      table.classList.toggle("cards", way.dataset.as === "cards");
+      ways.forEach(function (other) { other.setAttribute("aria-pressed", other === way); });
+    };
+  });
   document.querySelectorAll("a[data-scan]").forEach(function (a) {
     a.onclick = function () {
       var g = document.getElementById(a.getAttribute("href").slice(1));

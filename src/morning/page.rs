@@ -5,7 +5,7 @@ use super::plots::{memory_plot, time_plot};
 use super::words::{disk, length, memory, short_count, span};
 use crate::error::Result;
 use crate::measure::Scale;
-use crate::queue::{NightReport, Row, Status, local_time};
+use crate::queue::{NightReport, Row, Status, Totals, local_time};
 use serde_json::Value;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -25,6 +25,12 @@ const COLUMNS: [(&str, bool, bool); 9] = [
     ("Deviation", true, false),
     ("Warnings", true, false),
 ];
+
+/// Scans that did not go as asked that are shown at once; the others unfold.
+const SHOWN_TROUBLES: usize = 12;
+
+/// Up to so many scans are shown as pictures at first, more as a list.
+const SHOWN_PICTURES: usize = 60;
 
 /// Writes the page, piece by piece: pictures are read from below `folder` one at a time.
 pub(super) fn write(report: &NightReport, folder: &Path, put: &mut dyn FnMut(&str) -> Result<()>) -> Result<()> {
@@ -77,27 +83,47 @@ impl Page<'_> {
              <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
              <title>{title}</title><link rel=\"icon\" href=\"data:,\"><style>{}</style></head><body><main>\
              <header><h1>{title}</h1><p class=\"sub\">{} to {} ({}{})</p>\
-             <p class=\"verdict{bad}\">{verdict}</p></header><section class=\"cards\">",
+             <p class=\"verdict{bad}\">{verdict}</p>{bar}</header><section class=\"cards\">",
             STYLE.replace("RAMP", &ramp),
             local_time(*began),
             local_time(*ended),
             span(ended - began),
             escape(&early),
             title = escape(&format!("{job}: {} scans", totals.scans)),
+            bar = verdict_bar(totals),
         );
         let peak = self.report.peak_rss_bytes;
+        let (middle, largest) = self.deviations();
         for (value, what) in [
             (
                 format!("{} → {}", short_count(totals.faces), short_count(totals.result_faces)),
-                "faces, before and after",
+                "faces, before and after the finest reduction",
             ),
             (format!("{} → {}", disk(totals.bytes), disk(totals.result_bytes)), "on disk, before and after"),
+            (
+                middle.map_or("–".into(), |share| format!("{} %", length(100.0 * share))),
+                &match largest {
+                    Some(largest) => format!(
+                        "of the diagonal: RMS deviation, the median of all scans; the largest is {} %",
+                        length(100.0 * largest)
+                    ),
+                    None => "of the diagonal: deviation; none was measured".into(),
+                },
+            ),
             (span(totals.seconds), &format!("of work, {} side by side", self.report.workers)),
             (memory(peak), &format!("at the peak of all processes, of {}", memory(self.report.memory))),
         ] {
             _ = write!(html, "<div class=\"card\"><b>{value}</b><span>{what}</span></div>");
         }
         html + "</section>"
+    }
+
+    /// The median and the largest RMS deviation, as shares of each scan's diagonal.
+    fn deviations(&self) -> (Option<f64>, Option<f64>) {
+        let mut shares: Vec<f64> =
+            self.report.rows.iter().filter_map(|row| row.number("/deviation/shares/rms")).collect();
+        shares.sort_by(f64::total_cmp);
+        (shares.get(shares.len() / 2).copied(), shares.last().copied())
     }
 
     /// What did not go as asked, worst first.
@@ -115,8 +141,12 @@ impl Page<'_> {
             if rows.is_empty() {
                 continue;
             }
-            _ = write!(html, "<section><h2>{title}</h2>");
-            for (number, row) in rows {
+            let of = rows.len();
+            _ = write!(html, "<section><h2>{title}<span class=\"many\">{of}</span></h2>");
+            for (i, (number, row)) in rows.into_iter().enumerate() {
+                if i == SHOWN_TROUBLES {
+                    _ = write!(html, "<details><summary>{} more</summary>", of - i);
+                }
                 let (code, message) = match &row.error {
                     Some(error) => (error.code.as_str(), error.message.as_str()),
                     None => ("waits", "The run ended before its turn; the same command goes on with it."),
@@ -134,7 +164,7 @@ impl Page<'_> {
                     escape(&row.repeat),
                 );
             }
-            html += "</section>";
+            html += if of > SHOWN_TROUBLES { "</details></section>" } else { "</section>" };
         }
         html
     }
@@ -158,7 +188,17 @@ impl Page<'_> {
             let down = if *text { "up" } else { "down" };
             _ = write!(html, "<option value=\"{i} {down}\">{word}</option>");
         }
-        html += "</select></label></div><table class=\"scans\"><thead><tr>";
+        let pictured = self.report.rows.iter().filter(|row| row.picture.is_some()).count();
+        let cards = (1..=SHOWN_PICTURES).contains(&pictured);
+        _ = write!(
+            html,
+            "</select></label><span class=\"views-as\" role=\"group\" aria-label=\"Show as\">\
+             <button data-as=\"list\" aria-pressed=\"{}\">List</button>\
+             <button data-as=\"cards\" aria-pressed=\"{cards}\">Pictures</button></span>\
+             <span id=\"found\" aria-live=\"polite\"></span></div><table class=\"scans{}\"><thead><tr>",
+            !cards,
+            if cards { " cards" } else { "" }
+        );
         for (word, sorts, text) in COLUMNS {
             let class = if text { " class=\"left\"" } else { "" };
             let word = if sorts { format!("<button>{word}</button>") } else { word.into() };
@@ -227,7 +267,8 @@ impl Page<'_> {
         html += &cell("Memory", peak, Some(format!("of {}", memory(row.budget))));
         let share = share.map(|share| format!("{} % of the diagonal", length(100.0 * share)));
         html += &cell("Deviation", rms.map(length), share);
-        html += &cell("Warnings", Some(warnings.len().to_string()), None);
+        let none = if warnings.is_empty() { " class=\"zero\"" } else { "" };
+        _ = write!(html, "<td data-label=\"Warnings\"{none}>{}</td>", warnings.len());
         html + "</tr>" + &self.more(row, &warnings, views) + "</tbody>"
     }
 
@@ -299,6 +340,18 @@ impl Page<'_> {
             escape(&self.report.job.display().to_string())
         )
     }
+}
+
+/// How many of all went which way, as a bar.
+fn verdict_bar(totals: &Totals) -> String {
+    let parts =
+        [("done", totals.done), ("unmet", totals.unmet), ("failed", totals.failed), ("waits", totals.not_begun)];
+    let parts: String = parts
+        .iter()
+        .filter(|(_, n)| *n > 0)
+        .map(|(class, n)| format!("<i class=\"{class}\" style=\"flex:{n}\"></i>"))
+        .collect();
+    format!("<div class=\"bar\" aria-hidden=\"true\">{parts}</div>")
 }
 
 /// A line a result.

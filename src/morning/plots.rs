@@ -135,7 +135,13 @@ impl Axis {
                 "<line class=\"tick\" x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{ABOVE}\" y2=\"{:.1}\"/>\
                  <text class=\"word{}\" x=\"{x:.1}\" y=\"{:.1}\">{word}</text>",
                 HEIGHT - BELOW,
-                if x > WIDTH - 60.0 { " end" } else { "" },
+                if x > WIDTH - 60.0 {
+                    " end"
+                } else if i > 0 {
+                    " middle"
+                } else {
+                    ""
+                },
                 HEIGHT - 6.0
             );
         }

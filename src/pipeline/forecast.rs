@@ -1,15 +1,17 @@
 //! What a reduction would take, from the scan's header and its size: nothing is reduced.
 
+use super::Effort;
 use crate::error::Result;
 use crate::job::Job;
 use crate::mesh::Coordinate;
+use crate::mesh::columns::{self, Meaning};
 use crate::plan::Purse;
 use crate::progress::Progress;
 use crate::read::{Layout, Scalar, Scan};
 use crate::report::Mode;
 
 /// What is expected of a reduction.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Forecast {
     /// Faces of the scan.
     pub faces: u64,
@@ -17,24 +19,24 @@ pub struct Forecast {
     pub vertices: u64,
     /// Whether it has to be clustered first.
     pub mode: Mode,
-    /// Faces of the finest mesh, at most; of the scan where a distance is asked for.
-    pub target: u64,
+    /// What decides how long it takes.
+    pub effort: Effort,
     /// Size of the meshes, about.
     pub output_bytes: u64,
     /// What spills take, about, where faces come in a sensible order.
     pub scratch_bytes: u64,
 }
 
-/// Opens the scan and tells what would be done. A budget that cannot do it is refused.
-pub fn forecast(job: &Job, progress: &Progress) -> Result<Forecast> {
+/// Opens the scan and tells what would be done, with or without pictures. A budget that cannot do it is refused.
+pub fn forecast(job: &Job, pictures: bool, progress: &Progress) -> Result<Forecast> {
     let scan = Scan::open_in(&job.input, &job.scratch(), progress)?;
     match scan.scalar() {
-        Scalar::F32 => through::<f32>(job, &scan),
-        Scalar::F64 => through::<f64>(job, &scan),
+        Scalar::F32 => through::<f32>(job, pictures, &scan),
+        Scalar::F64 => through::<f64>(job, pictures, &scan),
     }
 }
 
-fn through<S: Coordinate>(job: &Job, scan: &Scan) -> Result<Forecast> {
+fn through<S: Coordinate>(job: &Job, pictures: bool, scan: &Scan) -> Result<Forecast> {
     let faces = scan.triangle_count();
     let asked = job.target.faces(faces);
     let purse = Purse::new(job.memory.0, job.threads, super::ask(job, scan, asked));
@@ -59,5 +61,7 @@ fn through<S: Coordinate>(job: &Job, scan: &Scan) -> Result<Forecast> {
     };
     let measured = if job.verify && scan.layout() == Layout::Indexed && mode == Mode::OutOfCore { position } else { 0 };
     let scratch_bytes = spilled.max(scan.vertex_count().saturating_mul(measured));
-    Ok(Forecast { faces, vertices: scan.vertex_count(), mode, target, output_bytes, scratch_bytes })
+    let coloured = columns::find::<3>(scan.columns(), Meaning::Colour).is_some();
+    let effort = Effort::of(job, faces, mode, coloured, pictures);
+    Ok(Forecast { faces, vertices: scan.vertex_count(), mode, effort, output_bytes, scratch_bytes })
 }

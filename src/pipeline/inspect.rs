@@ -1,6 +1,6 @@
 //! A scan opened, looked through, and reported.
 
-use super::on_threads;
+use super::{Effort, on_threads};
 use crate::collapse::{self, Policies};
 use crate::error::{Error, Result};
 use crate::inspect::inspect as look_through;
@@ -15,10 +15,8 @@ use crate::report::{
 use crate::scratch::Scratch;
 use std::time::Instant;
 
-/// Seconds that a reduction takes for each face of the scan, measured on two cores on a scan of 27.6 M faces: 18 s in core,
-/// 6.3 s out of core.
-const IN_CORE_SECONDS: f64 = 6.5e-7;
-const OUT_OF_CORE_SECONDS: f64 = 2.3e-7;
+/// Threads that a reduction is told the time of.
+const THREADS: usize = 2;
 
 /// Says what is in a scan.
 pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<InspectionReport> {
@@ -88,9 +86,15 @@ fn reduction<S: crate::mesh::Coordinate>(scan: &Scan, purse: &Purse, faces: u64)
         Err(Error::Budget { needed_bytes, .. }) => needed_bytes,
         _ => in_core_bytes,
     };
-    let seconds = mode.map(|mode| {
-        let each = if mode == Mode::InCore { IN_CORE_SECONDS } else { OUT_OF_CORE_SECONDS };
-        scan.triangle_count() as f64 * each
-    });
+    let effort = |mode| Effort {
+        faces: scan.triangle_count(),
+        mode,
+        targets: vec![faces.min(scan.triangle_count())],
+        refit_rounds: DEFAULT_REFIT_ROUNDS,
+        coloured: has_colour(scan),
+        samples: 0,
+        pictures: false,
+    };
+    let seconds = mode.map(|mode| effort(mode).seconds(THREADS));
     ReductionFigures { faces, mode, seconds, in_core_bytes, least_bytes }
 }

@@ -18,6 +18,7 @@
 mod clock;
 mod crew;
 mod expand;
+mod glance;
 mod ledger;
 mod night;
 mod plan;
@@ -28,10 +29,11 @@ mod template;
 mod worker;
 
 pub use clock::{Deadline, local_time};
+pub use glance::Glance;
 pub use ledger::{Fingerprint, Ledger, Lock};
 pub use night::{Night, Watcher};
 pub use plan::{Plan, PlanOptions, Problem, Shard, Task, TaskFacts};
-pub use process::rss_bytes;
+pub use process::{reset_peak, rss_bytes};
 pub use report::{NightReport, OutputFile, Row, Status, Totals, Trouble, merge};
 pub use schedule::{Running, Standing};
 pub use worker::work;

@@ -2,7 +2,7 @@
 
 use super::clock::{self, Deadline};
 use super::crew::{Event, FromWorker, Order, ToWorker, Worker, cause_of_death};
-use super::ledger::{Ledger, Lock, Record, shard_name};
+use super::ledger::{Fingerprint, Ledger, Lock, Record, shard_name};
 use super::plan::{PICTURES, Plan, Problem, Task};
 use super::process::{out_of_memory_kills, rss_bytes};
 use super::report::{NightReport, Row, Status, Trouble};
@@ -84,6 +84,8 @@ struct Doing {
     began: Instant,
     began_at: f64,
     oom_kills: u64,
+    /// Its results and its picture as they were before it began, where they were.
+    before: Vec<(PathBuf, Option<Fingerprint>)>,
     stage: (String, u64, u64),
     stage_began: Instant,
     /// Why it is to end, and since when it knows.
@@ -228,6 +230,8 @@ impl<'a> Night<'a> {
         let order = self.order(task, budget);
         let tries = this.tries + 1;
         let (scan, options, at) = (task.scan.clone(), task.options.clone(), clock::now());
+        let made = task.outputs.iter().chain(order.portrait.iter().map(|portrait| &portrait.output));
+        let before = made.map(|path| (path.clone(), Fingerprint::glance(path).ok())).collect();
         self.ledger.write(Record::Scan { at, scan, budget, options, tries })?;
         let now = Instant::now();
         let post = &mut self.crew[post];
@@ -237,6 +241,7 @@ impl<'a> Night<'a> {
             began: now,
             began_at: at,
             oom_kills: out_of_memory_kills(),
+            before,
             stage: (String::from("read"), 0, 0),
             stage_began: now,
             ending: None,
@@ -264,9 +269,7 @@ impl<'a> Night<'a> {
     fn order(&self, task: &Task, budget: u64) -> Order {
         let mut job = task.job.clone();
         job.run.memory = Some(Size(budget));
-        // Small scans run side by side, a big one has all threads: neither changes a byte.
-        let threads = if task.is_small() && self.plan.workers > 1 { 1 } else { self.plan.threads };
-        job.run.threads = Some(Threads(threads));
+        job.run.threads = Some(Threads(self.plan.threads_of(task)));
         let portrait = self.plan.pictures.then(|| self.portrait(task));
         Order { scan: task.scan.clone(), job, outputs: task.outputs.clone(), portrait }
     }
@@ -344,6 +347,9 @@ impl<'a> Night<'a> {
             (Some(_), Some(_)) => Status::Unmet,
             (None, _) => Status::Failed,
         };
+        if row.report.is_none() && take_back(&doing.before) {
+            row.warnings.push("what was already written of it was removed".into());
+        }
         if row.error.as_ref().is_some_and(|error| error.code == "interrupted") {
             // It was not its fault: the next run begins it again.
             return Ok(());
@@ -465,6 +471,17 @@ impl<'a> Night<'a> {
             running,
         }
     }
+}
+
+/// Removes what a try has written that did not come to its end: a result beside a row that says that there is none would be
+/// taken for one. What was there before, and is there still, stays. Whether there was anything.
+fn take_back(before: &[(PathBuf, Option<Fingerprint>)]) -> bool {
+    let is_new = |(path, was): &&(PathBuf, Option<Fingerprint>)| {
+        let is = Fingerprint::glance(path).ok();
+        is.is_some() && is != *was
+    };
+    // What cannot be removed is done again and replaced.
+    before.iter().filter(is_new).filter(|(path, _)| std::fs::remove_file(path).is_ok()).count() > 0
 }
 
 /// A scan's picture, in the night's folder: named by its first result, which no other scan has.

@@ -1,12 +1,13 @@
 //! What a night will do, in full, before any of it is done.
 
 use super::expand::{Excluded, Found, expand};
+use super::glance::Glance;
 use super::process::{available_bytes, free_bytes};
 use super::template::{Named, fixed_folder};
 use crate::budget::{MIB, Size};
 use crate::error::{Error, Result};
 use crate::job::{Count, DEFAULT_MEMORY, Job, JobFile, Layer, Order, ScanTable, Scans, TimeOfDay, cores};
-use crate::pipeline::{Forecast, forecast};
+use crate::pipeline::{Effort, Forecast, forecast};
 use crate::progress::Progress;
 use crate::report::Mode;
 use std::collections::BTreeMap;
@@ -70,6 +71,8 @@ pub struct Task {
     pub budget: Size,
     /// Size of the scan; 0 where there is none.
     pub bytes: u64,
+    /// What its first bytes tell.
+    pub glance: Glance,
     /// Tells options apart that make other bytes.
     pub options: String,
 }
@@ -221,35 +224,25 @@ impl Plan {
 
     /// Opens a scan: what is expected of it, and seconds.
     pub fn forecast(&self, task: &Task, progress: &Progress) -> TaskFacts {
-        let job = task.resolved()?;
-        let found = forecast(&job, progress)?;
-        let target = if found.mode == Mode::OutOfCore { found.target } else { 0 };
-        Ok((found, expected_seconds(found.faces, target, found.mode, job.verify, self.pictures)))
+        let found = forecast(&task.resolved()?, self.pictures, progress)?;
+        let seconds = found.effort.seconds(self.threads_of(task));
+        Ok((found, seconds))
     }
 
-    /// Seconds that a scan will take, by its size alone.
+    /// Threads that reduce a scan: small scans are reduced side by side, a big one has all. Neither changes a byte.
+    pub(super) fn threads_of(&self, task: &Task) -> usize {
+        if task.is_small() && self.workers > 1 { 1 } else { self.threads }
+    }
+
+    /// Seconds that a scan will take, from what a glance at it tells.
     pub(super) fn expected_seconds(&self, task: &Task) -> f64 {
-        let bytes_a_face = if is_stl(&task.scan) { 50 } else { 19 };
-        let faces = task.bytes / bytes_a_face;
-        // About 100 bytes a face decide whether it fits.
+        // One that cannot be resolved takes no time.
+        let Ok(job) = task.resolved() else { return 0.0 };
+        let Glance { faces, coloured } = task.glance;
+        // About 110 bytes a face decide whether it fits.
         let mode = if faces.saturating_mul(110) < task.budget.0 { Mode::InCore } else { Mode::OutOfCore };
-        let target = match task.job.scan.tables()[0].faces.first() {
-            Some(Count(n)) if mode == Mode::OutOfCore => *n,
-            _ => 0,
-        };
-        expected_seconds(faces, target, mode, task.job.report.verify != Some(false), self.pictures)
+        Effort::of(&job, faces, mode, coloured, self.pictures).seconds(self.threads_of(task))
     }
-}
-
-/// Measured on two cores; a night corrects it by what its first scans take.
-fn expected_seconds(faces: u64, target: u64, mode: Mode, verify: bool, pictures: bool) -> f64 {
-    let reduce = match mode {
-        Mode::InCore => 0.9e-6 * faces as f64,
-        Mode::OutOfCore => 0.25e-6 * faces as f64 + 8e-6 * target as f64,
-    };
-    let measure = if verify { 0.3e-6 * faces as f64 + 0.3 } else { 0.0 };
-    let render = if pictures { 0.15e-6 * faces as f64 + 0.2 } else { 0.0 };
-    0.05 + reduce + measure + render
 }
 
 /// How the night's memory is shared: the bound on all, and how many scans run side by side.
@@ -375,7 +368,8 @@ impl Tasks<'_> {
         let bytes = std::fs::metadata(&path).map_or(0, |found| found.len());
         let options = options_of(&resolved);
         let budget = resolved.memory;
-        Ok((Task { scan: path, job, outputs, budget, bytes, options }, found.searched))
+        let glance = Glance::at(&path, bytes);
+        Ok((Task { scan: path, job, outputs, budget, bytes, glance, options }, found.searched))
     }
 }
 

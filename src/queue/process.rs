@@ -11,7 +11,7 @@ pub(super) fn peak_bytes() -> Option<u64> {
 }
 
 /// Begins the count of the peak anew, where the system can.
-pub(super) fn reset_peak() {
+pub fn reset_peak() {
     // Where it cannot, the peak is that of all tasks so far: an upper bound.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }

@@ -8,11 +8,12 @@
 //!
 //! `map` makes bytes visible, `spool` unpacks what cannot be mapped, `stream` hands bytes to workers, `cursor` walks what
 //! must be read in order, `lines` makes text divisible; `ply*`, `stl*`, `obj`, `off`, `gltf*` and `ascii` know the formats;
-//! [`load`] and [`Scan::sample`] are built on the passes.
+//! [`load`] and [`Scan::sample`] are built on the passes; `floor` is what benches hold them against.
 
 mod ascii;
 mod attribute;
 mod cursor;
+mod floor;
 mod gltf;
 mod gltf_json;
 mod gltf_scene;

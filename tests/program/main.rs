@@ -1,11 +1,13 @@
 //! The whole program, as its users run it: what it promises of results, memory and bytes, and what it does with bad input.
 
 mod bad_input;
+mod bench;
 mod borders;
 mod carry;
 mod compare;
 mod counts;
 mod determinism;
+mod faults;
 mod formats;
 mod inspect;
 mod interrupt;

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-const JOB: &str = "[[scan]]\ninput = 'scans/**/*.{ply,stl}'\noutput = 'out/{dir}/{stem}.{faces}.ply'\n\
+pub const JOB: &str = "[[scan]]\ninput = 'scans/**/*.{ply,stl}'\noutput = 'out/{dir}/{stem}.{faces}.ply'\n\
                    faces = [800, 200]\n[run]\nmemory = '64MiB'\n[report]\nsamples = 2000\n";
 
 /// A folder with a few scans of several kinds, in folders of their own.
-fn archive() -> Folder {
+pub fn archive() -> Folder {
     let folder = Folder::new();
     for name in ["scans", "scans/a", "scans/a/b"] {
         fs::create_dir(folder.path(name)).unwrap();
@@ -25,13 +25,13 @@ fn archive() -> Folder {
     folder
 }
 
-fn run(folder: &Folder, args: &[&str]) -> Output {
+pub fn run(folder: &Folder, args: &[&str]) -> Output {
     program().arg("run").arg(folder.path("night.toml")).args(args).output().unwrap()
 }
 
 /// The report of a run with this exit code.
 #[track_caller]
-fn report(output: &Output, code: i32) -> Value {
+pub fn report(output: &Output, code: i32) -> Value {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{stderr}");
     serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {stderr}"))
@@ -39,13 +39,13 @@ fn report(output: &Output, code: i32) -> Value {
 
 /// The row of the scan whose path ends so.
 #[track_caller]
-fn row<'a>(report: &'a Value, scan: &str) -> &'a Value {
+pub fn row<'a>(report: &'a Value, scan: &str) -> &'a Value {
     let rows = report["rows"].as_array().unwrap();
     rows.iter().find(|row| row["scan"].as_str().unwrap().ends_with(scan)).unwrap_or_else(|| panic!("{scan}: {report}"))
 }
 
 /// All files below a folder, by their paths, without those whose name changes from run to run.
-fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![root.to_path_buf()];
     while let Some(folder) = folders.pop() {
@@ -68,7 +68,7 @@ fn results(folder: &Folder) -> BTreeMap<PathBuf, Vec<u8>> {
 }
 
 /// Scans that the ledger has this event of, in its order.
-fn ledger(folder: &Folder, event: &str) -> Vec<String> {
+pub fn ledger(folder: &Folder, event: &str) -> Vec<String> {
     let text = fs::read_to_string(folder.path("out/ledger.jsonl")).unwrap_or_default();
     let records = text.lines().filter_map(|line| serde_json::from_str::<Value>(line.get(17..)?).ok());
     let of = records.filter(|record| record["event"] == event);
@@ -127,7 +127,7 @@ fn an_archive_is_reduced_once_and_the_report_tells_all() {
     assert!(ledger(&folder, "scan").last().unwrap().ends_with("cut.ply"));
 }
 
-fn start(folder: &Folder) -> Child {
+pub fn start(folder: &Folder) -> Child {
     let mut command = program();
     command.arg("run").arg(folder.path("night.toml")).arg("--json").stdout(Stdio::piped()).stderr(Stdio::piped());
     command.spawn().unwrap()
@@ -135,7 +135,7 @@ fn start(folder: &Folder) -> Child {
 
 /// Waits for something.
 #[track_caller]
-fn until(what: &str, mut is: impl FnMut() -> bool) {
+pub fn until(what: &str, mut is: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is() {
         assert!(begun.elapsed() < Duration::from_secs(60), "waited in vain: {what}");
@@ -173,12 +173,12 @@ fn a_night_that_is_killed_is_resumed_to_the_same_bytes() {
 }
 
 /// Children of a process.
-fn children(parent: u32) -> Vec<u32> {
+pub fn children(parent: u32) -> Vec<u32> {
     let path = format!("/proc/{parent}/task/{parent}/children");
     fs::read_to_string(path).unwrap_or_default().split_whitespace().filter_map(|pid| pid.parse().ok()).collect()
 }
 
-fn signal(process: u32, name: &str) {
+pub fn signal(process: u32, name: &str) {
     Command::new("kill").args([format!("-{name}"), process.to_string()]).status().unwrap();
 }
 
