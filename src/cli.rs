@@ -181,6 +181,10 @@ struct CollapseArgs {
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     colour_weight: Option<Weight>,
 
+    /// The same of texture coordinates [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    texture_weight: Option<Weight>,
+
     /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
     #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
     topology: Option<Topology>,
@@ -498,6 +502,7 @@ impl From<CollapseArgs> for CollapseTable {
             compactness: args.compactness,
             valence_penalty: args.valence_penalty,
             colour_weight: args.colour_weight,
+            texture_weight: args.texture_weight,
             topology: args.topology,
             pair_distance: args.pair_distance,
             primitive: args.primitive,

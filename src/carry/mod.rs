@@ -14,12 +14,15 @@
 //! **Memory** ([`bytes`]): beside the result, its tree, 36 bytes a face and 8 a vertex and column in hand; columns are
 //! taken [`BATCH`] at a time. Sums are of integers, so threads change nothing.
 
+mod coat;
 mod solve;
+
+pub use coat::{Worn, bytes as coat_bytes, put_on};
 
 use crate::error::Result;
 use crate::mesh::columns::{Column, Columns, Meaning};
 use crate::mesh::{
-    BATCH as BATCH_OF_PLACES, Coordinate, Extent, Frame, IndexedMesh, PositionTable, Tree, narrow, widen,
+    BATCH as BATCH_OF_PLACES, Coordinate, Extent, Frame, IndexedMesh, PositionTable, Shades, Tree, narrow, widen,
 };
 use crate::progress::Stage;
 use crate::read::{Crew, Scan};
@@ -70,21 +73,12 @@ pub fn carry<S: Coordinate>(
     Ok(carried)
 }
 
-/// What full brightness counts where colours weigh 1: so many times the square of an edge of the result over the scan's
+/// What a full range counts where it weighs 1: so many times the square of an edge of the result over the scan's
 /// diagonal, since that is how deviation grows with edges on what is smooth.
-const COLOUR_LENGTH: f64 = 8.0;
+const RANGE_LENGTH: f64 = 8.0;
 
-/// The colours of a loaded scan's vertices, as lengths in its frame, for the collapse: `colour` are the columns. A vertex takes
-/// them from the first one of the file at its place.
-pub fn shades<S: Coordinate>(
-    scan: &Scan,
-    colour: [usize; 3],
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
-    weight: f64,
-    asked: Option<u64>,
-    crew: &Crew<'_>,
-) -> Result<Vec<[f32; 3]>> {
+/// What the full range of a number that steers is worth as a length in the frame, at a weight of 1.
+pub fn range_length<S: Coordinate>(mesh: &IndexedMesh<S>, asked: Option<u64>) -> f64 {
     let area = |face: &[u32; 3]| {
         let [a, b, c] = face.map(|v| mesh.at(v));
         0.5 * (b - a).cross(c - a).length()
@@ -93,16 +87,49 @@ pub fn shades<S: Coordinate>(
     let edge = (mesh.faces.iter().map(area).sum::<f64>() / faces as f64).sqrt();
     let mut extent = Extent::default();
     (0..mesh.positions.len() as u32).for_each(|v| extent.include(mesh.at(v)));
-    let length = weight * COLOUR_LENGTH * edge * edge / extent.diagonal();
-    let mut table = PositionTable::with_room_for(mesh.positions.len());
-    for (batch, positions) in mesh.positions.chunks(BATCH_OF_PLACES).enumerate() {
-        let looked_up = table.look_up(positions, &mesh.positions);
-        for (i, (p, at)) in positions.iter().zip(looked_up).enumerate() {
-            table.find_or_insert(p, at, &mesh.positions, (batch * BATCH_OF_PLACES + i) as u32);
+    RANGE_LENGTH * edge * edge / extent.diagonal()
+}
+
+/// Where the vertices of a loaded scan are, by their positions.
+struct Places<'m, S> {
+    mesh: &'m IndexedMesh<S>,
+    frame: Frame,
+    table: PositionTable,
+}
+
+impl<'m, S: Coordinate> Places<'m, S> {
+    fn of(mesh: &'m IndexedMesh<S>, frame: Frame) -> Self {
+        let mut table = PositionTable::with_room_for(mesh.positions.len());
+        for (batch, positions) in mesh.positions.chunks(BATCH_OF_PLACES).enumerate() {
+            let looked_up = table.look_up(positions, &mesh.positions);
+            for (i, (p, at)) in positions.iter().zip(looked_up).enumerate() {
+                table.find_or_insert(p, at, &mesh.positions, (batch * BATCH_OF_PLACES + i) as u32);
+            }
         }
+        Places { mesh, frame, table }
     }
+
+    /// The vertex at a position of the file, if there is one.
+    fn find(&self, p: [f64; 3]) -> Option<u32> {
+        let p = narrow::<S>(widen(p.map(S::narrow)).map(|x| self.frame.to_frame(x)));
+        let at = self.table.look_up(std::slice::from_ref(&p), &self.mesh.positions)[0];
+        self.table.find(&p, at, &self.mesh.positions)
+    }
+}
+
+/// The colours of a loaded scan's vertices for the collapse, full brightness as `length`: `colour` are the columns. A vertex
+/// takes them from the first one of the file at its place.
+pub fn shades<S: Coordinate>(
+    scan: &Scan,
+    colour: [usize; 3],
+    mesh: &IndexedMesh<S>,
+    frame: Frame,
+    length: f64,
+    crew: &Crew<'_>,
+) -> Result<Shades> {
+    let places = Places::of(mesh, frame);
     let columns = colour.map(|c| &scan.columns()[c]);
-    let mut shades = vec![[f32::NAN; 3]; mesh.positions.len()];
+    let mut shades = vec![f32::NAN; 3 * mesh.positions.len()];
     let crew = Crew { workers: 1, ..*crew };
     let all = Mutex::new(&mut shades);
     scan.carried(
@@ -111,22 +138,19 @@ pub fn shades<S: Coordinate>(
         |(), chunk| {
             let mut shades = all.lock().unwrap_or_else(PoisonError::into_inner);
             for (p, values) in chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns)) {
-                let p = narrow::<S>(widen(p.map(S::narrow)).map(|x| frame.to_frame(x)));
-                let at = table.look_up(std::slice::from_ref(&p), &mesh.positions)[0];
-                let Some(vertex) = table.find(&p, at, &mesh.positions) else { continue };
-                let shade = &mut shades[vertex as usize];
+                let Some(vertex) = places.find(*p) else { continue };
+                let shade = &mut shades[3 * vertex as usize..][..3];
                 if shade[0].is_nan() {
                     let part = |i: usize| (length * columns[i].brightness(values[colour[i]])) as f32;
-                    *shade = [part(0), part(1), part(2)];
+                    shade.copy_from_slice(&[part(0), part(1), part(2)]);
                 }
             }
             Ok(())
         },
     )?;
-    drop(table);
     // What has no colour, or none that is a number, is black.
-    shades.iter_mut().for_each(|shade| *shade = shade.map(|x| if x.is_finite() { x } else { 0.0 }));
-    Ok(shades)
+    shades.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
+    Ok(Shades { dims: 3, values: shades })
 }
 
 /// Which vertices of the scan are asked: a share that no regularity of the scan can fall into step with.
@@ -166,6 +190,11 @@ impl Range {
         // Half of it first: the difference of the largest doubles is none.
         let size = 0.5 * self.most - 0.5 * self.least;
         if size > 0.0 { (0.5 * x - 0.5 * self.least) / size } else { 0.0 }
+    }
+
+    /// The value of a share, which may be less than none or more than all.
+    fn unclamped(&self, share: f64) -> f64 {
+        if self.least > self.most { 0.0 } else { self.least * (1.0 - share) + self.most * share }
     }
 
     fn value(&self, share: f64) -> f64 {

@@ -20,6 +20,7 @@ mod lines;
 mod load;
 mod map;
 mod obj;
+mod obj_corners;
 mod off;
 mod ply;
 mod ply_binary;
@@ -32,12 +33,13 @@ mod stl_ascii;
 mod stream;
 
 pub use attribute::{Attribute, Carrier};
-pub use load::{LoadReport, load, load_peak_bytes};
+pub use load::{LoadReport, Loaded, load, load_peak_bytes};
 pub use sample::Sample;
 pub use spool::{Compression, STDIN};
 pub use stream::Crew;
 
 use crate::error::{Error, Item, Result};
+use crate::mesh::coat::{Coat, Corners};
 use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use crate::scratch::Scratch;
@@ -406,6 +408,35 @@ impl Scan {
             _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
         }
         Ok(slots.into_inner())
+    }
+
+    /// What corners and faces carry, if they carry anything that is read.
+    pub fn coat(&self, progress: &Progress) -> Result<Option<Coat>> {
+        match &self.body {
+            Body::Obj(text) if text.dialect.is_coated() => obj_corners::coat(text, &self.input, progress).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// Whether corners or faces carry anything that is read.
+    pub fn has_coat(&self) -> bool {
+        matches!(&self.body, Body::Obj(text) if text.dialect.is_coated())
+    }
+
+    /// Values of a coat that its corners and faces refer to, at most: texture coordinates, normals.
+    pub fn coat_values(&self) -> u64 {
+        match &self.body {
+            Body::Obj(text) => text.dialect.coat_values(),
+            _ => 0,
+        }
+    }
+
+    /// All triangles in the order of the file, with what their corners carry.
+    pub fn corners(&self, coat: &Coat, progress: &Progress, step: &mut dyn FnMut(Corners)) -> Result<()> {
+        match &self.body {
+            Body::Obj(text) => obj_corners::corners(text, coat, &self.input, progress, step),
+            _ => Ok(()),
+        }
     }
 
     /// Streams the triangles of an indexed scan.

@@ -1,6 +1,6 @@
 //! Bytes of every format: headers, and records of binary PLY and STL; `text` and `glb` have the others.
 
-use super::{Format, Sink, glb, text};
+use super::{Clothes, Format, Sink, glb, text};
 use crate::error::{Error, Result};
 use crate::mesh::columns::{Column, Columns};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
@@ -28,6 +28,10 @@ pub(crate) struct Contents<'a, S> {
     pub frame: Frame,
     /// What vertices carry: of no columns, or for every vertex.
     pub carried: &'a Columns,
+    /// What corners and faces carry, if they do.
+    pub clothes: Option<Clothes<'a>>,
+    /// What an OBJ is to call its library.
+    pub library: Option<&'a str>,
 }
 
 impl Header {
@@ -152,7 +156,7 @@ pub(crate) fn encode<S: Coordinate, W: Write>(
 }
 
 fn ply<S: Coordinate, W: Write>(contents: &Contents<'_, S>, sink: &mut Sink<'_, W>) -> Result<()> {
-    let Contents { mesh, frame, carried } = *contents;
+    let Contents { mesh, frame, carried, .. } = *contents;
     let back = |x: S| frame.to_file(x.widen());
     if !carried.columns.is_empty() {
         let mut record = Vec::with_capacity(24 + 8 * carried.columns.len());
@@ -211,7 +215,7 @@ mod tests {
         let header =
             Header { format, double: S::DOUBLE, vertices: mesh.positions.len() as u64, faces: mesh.faces.len() as u64 };
         let mut sink = Sink::new(&mut out, Path::new("x"), &progress);
-        let contents = Contents { mesh, frame, carried: &Columns::default() };
+        let contents = Contents { mesh, frame, carried: &Columns::default(), clothes: None, library: None };
         encode(&contents, &header, Path::new("x"), &mut sink)?;
         sink.finish()?;
         assert_eq!(out.len() as u64, header.bytes(Path::new("x"))?.len() as u64 + header.element_bytes());

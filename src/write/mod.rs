@@ -8,6 +8,7 @@
 //! Does not promise: what a `kill -9` leaves behind is a hidden file beside the target, until the next run into the same
 //! folder sweeps it.
 
+mod clothes;
 mod encode;
 mod glb;
 mod shaded;
@@ -15,6 +16,7 @@ mod sink;
 mod target;
 mod text;
 
+pub use clothes::{Clothes, Material, Texture, Wardrobe};
 pub(crate) use encode::{Header, ply_face, ply_vertex, stl_facet};
 pub use shaded::Shading;
 pub(crate) use sink::Sink;
@@ -73,9 +75,24 @@ impl Format {
             Format::Ply | Format::PlyAscii => true,
             Format::Obj => matches!(meaning, Meaning::Colour(0..3)),
             Format::Glb => meaning != Meaning::Other,
-            Format::GlbQuantised => matches!(meaning, Meaning::Colour(_)),
+            Format::GlbQuantised => matches!(meaning, Meaning::Colour(_) | Meaning::Texture(_)),
             Format::Stl => false,
         }
+    }
+
+    /// Whether it has a place for a column of those that corners carry.
+    pub fn holds_at_corners(self, meaning: Meaning) -> bool {
+        self == Format::Obj && matches!(meaning, Meaning::Texture(_) | Meaning::Normal(_)) || self.holds(meaning)
+    }
+
+    /// Whether it says what faces are made of.
+    pub fn holds_materials(self) -> bool {
+        matches!(self, Format::Obj | Format::Glb | Format::GlbQuantised)
+    }
+
+    /// Whether it says what groups faces are in.
+    pub fn holds_groups(self) -> bool {
+        self == Format::Obj
     }
 }
 

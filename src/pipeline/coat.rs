@@ -1,0 +1,149 @@
+//! What corners and faces of the scan carry, on its way to the result.
+
+use super::{Intermediate, Run};
+use crate::carry::{Worn, put_on, range_length, shades};
+use crate::collapse::Carried;
+use crate::error::Result;
+use crate::job::Job;
+use crate::mesh::coat::Dress;
+use crate::mesh::columns::{self, Meaning};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, Wedges};
+use crate::read::{Crew, Scan};
+use crate::report::Warning;
+use crate::write::{self, Clothes, Wardrobe};
+use std::path::Path;
+
+/// Columns of the colour that is to steer, if one is.
+pub(super) fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
+    let steers = job.carry && job.policies.colour_weight > 0.0;
+    steers.then(|| columns::find(scan.columns(), Meaning::Colour)).flatten()
+}
+
+/// What a scan wears while it is reduced.
+pub(super) struct Outfit<S> {
+    pub(super) worn: Worn<S>,
+    pub(super) wardrobe: Wardrobe,
+    /// Files that its materials name, and that are not there.
+    missing: Vec<String>,
+}
+
+/// What a finished mesh wears.
+pub(super) struct Dressed<'a> {
+    dress: Dress,
+    coat: &'a crate::mesh::coat::Coat,
+    wardrobe: &'a Wardrobe,
+    scan: &'a Path,
+}
+
+impl Dressed<'_> {
+    pub(super) fn clothes(&self) -> (Clothes<'_>, &Path) {
+        (Clothes { dress: &self.dress, coat: self.coat, wardrobe: self.wardrobe }, self.scan)
+    }
+}
+
+impl Run<'_> {
+    /// Whether any result can hold what corners and faces carry.
+    fn wears(&self) -> bool {
+        let formats = std::iter::once(self.job.format).chain(self.job.coarser.iter().map(|level| level.format));
+        self.job.carry && formats.into_iter().any(|format| format != write::Format::Stl)
+    }
+
+    /// What a loaded scan carries into the collapse, and what it wears.
+    pub(super) fn outfitted<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        asked: Option<u64>,
+    ) -> Result<(Option<Carried>, Option<Outfit<S>>)> {
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let policies = &self.job.policies;
+        let worn = if self.wears() { put_on(self.scan, mesh, frame, &crew)? } else { None };
+        let colour = steering(self.job, self.scan);
+        if colour.is_none() && worn.is_none() {
+            return Ok((None, None));
+        }
+        let length = range_length(mesh, asked);
+        let mut carried = Carried::default();
+        if let Some(colour) = colour {
+            let length = policies.colour_weight * length;
+            carried.shades = shades(self.scan, colour, mesh, frame, length, &crew)?;
+        }
+        let Some((worn, wedges)) = worn else { return Ok((Some(carried), None)) };
+        carried.shades = worn.shades(&wedges, &mesh.faces, &carried.shades, policies.texture_weight * length);
+        carried.wedges = wedges;
+        let (wardrobe, missing) = Wardrobe::of(&worn.coat, self.scan.path());
+        Ok((Some(carried), Some(Outfit { worn, wardrobe, missing })))
+    }
+
+    /// What the result wears, in a format that holds any of it.
+    pub(super) fn dressed<'o, S: Coordinate>(
+        &'o self,
+        outfit: Option<&'o Outfit<S>>,
+        mesh: &IndexedMesh<S>,
+        wedges: &Wedges,
+        format: write::Format,
+    ) -> Result<Option<Dressed<'o>>> {
+        let Some(Outfit { worn, wardrobe, .. }) = outfit.filter(|_| format != write::Format::Stl) else {
+            return Ok(None);
+        };
+        let dress = worn.dress(mesh, wedges, self.progress)?;
+        Ok(Some(Dressed { dress, coat: &worn.coat, wardrobe, scan: self.scan.path() }))
+    }
+
+    /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
+    pub(super) fn columns<S: Coordinate>(
+        &self,
+        format: write::Format,
+        outfit: Option<&Outfit<S>>,
+    ) -> (Vec<usize>, Vec<String>) {
+        use crate::read::Carrier;
+        if !self.job.carry {
+            return (Vec::new(), Vec::new());
+        }
+        let columns = self.scan.columns();
+        let wanted: Vec<usize> = (0..columns.len()).filter(|c| format.holds(columns[*c].meaning)).collect();
+        let is_carried = |name: &str| wanted.iter().any(|c| columns[*c].name == name);
+        let is_worn = |meaning: Meaning| {
+            let worn = outfit.is_some_and(|outfit| outfit.worn.columns().iter().any(|c| c.meaning == meaning));
+            worn && format.holds_at_corners(meaning)
+        };
+        let mut lost: Vec<String> = Vec::new();
+        for attribute in self.scan.attributes() {
+            let held = match (attribute.carrier, attribute.name.as_str()) {
+                // What OBJ calls one attribute is columns here.
+                (Carrier::Vertex, "colour") => !wanted.is_empty(),
+                (Carrier::Vertex, name) => is_carried(name),
+                (Carrier::Corner, "vt") => is_worn(Meaning::Texture(0)),
+                (Carrier::Corner, "vn") => is_worn(Meaning::Normal(0)),
+                (Carrier::Face, "usemtl") => outfit.is_some() && format.holds_materials(),
+                (Carrier::Face, "g") => outfit.is_some() && format.holds_groups(),
+                _ => false,
+            };
+            if !(held || lost.contains(&attribute.name)) {
+                lost.push(attribute.name);
+            }
+        }
+        if let Some(outfit) = outfit.filter(|_| format.holds_materials()) {
+            lost.extend(outfit.missing.iter().cloned());
+            let textures = outfit.wardrobe.textures.iter();
+            let kept = |texture: &&write::Texture| format == write::Format::Obj || texture.mime().is_some();
+            lost.extend(textures.filter(|texture| !kept(texture)).map(|texture| texture.name.clone()));
+        }
+        (wanted, lost)
+    }
+
+    /// The loaded scan, ready to be collapsed.
+    pub(super) fn loaded<S: Coordinate>(
+        &self,
+        (mesh, frame, report): crate::read::Loaded<S>,
+        asked: Option<u64>,
+    ) -> Result<Intermediate<S>> {
+        let (carried, outfit) = self.outfitted(&mesh, frame, asked)?;
+        Ok(Intermediate { mesh, frame, carried, outfit, samples: None, source: super::Source::Loaded(report) })
+    }
+}
+
+/// What is said of seams.
+pub(super) fn seam_warning(gave_way: bool) -> Option<Warning> {
+    gave_way.then_some(Warning::SeamsGaveWay)
+}
