@@ -1,6 +1,6 @@
 //! What a surface has beside its shape: numbers at the corners of faces, materials, groups.
 
-use super::columns::{Column, Columns};
+use super::columns::{Column, Columns, Number};
 
 /// What faces belong to.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
@@ -30,6 +30,13 @@ pub struct Coat {
     pub libraries: Vec<String>,
     /// Numbers of faces.
     pub face_columns: Vec<Column>,
+}
+
+impl Coat {
+    /// Whether the one number of its faces fits the two bytes that STL has for each.
+    pub fn is_spare(&self) -> bool {
+        matches!(&self.face_columns[..], [c] if matches!(c.number, Number::U8 | Number::U16))
+    }
 }
 
 /// A mesh's coat: its vertices split where they lie on seams.

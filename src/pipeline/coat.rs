@@ -42,12 +42,6 @@ impl Dressed<'_> {
 }
 
 impl Run<'_> {
-    /// Whether any result can hold what corners and faces carry.
-    fn wears(&self) -> bool {
-        let formats = std::iter::once(self.job.format).chain(self.job.coarser.iter().map(|level| level.format));
-        self.job.carry && formats.into_iter().any(|format| format != write::Format::Stl)
-    }
-
     /// What a loaded scan carries into the collapse, and what it wears.
     pub(super) fn outfitted<S: Coordinate>(
         &self,
@@ -57,7 +51,7 @@ impl Run<'_> {
     ) -> Result<(Option<Carried>, Option<Outfit<S>>)> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         let policies = &self.job.policies;
-        let worn = if self.wears() { put_on(self.scan, mesh, frame, &crew)? } else { None };
+        let worn = if self.job.carry { put_on(self.scan, mesh, frame, &crew)? } else { None };
         let colour = steering(self.job, self.scan);
         if colour.is_none() && worn.is_none() {
             return Ok((None, None));
@@ -83,7 +77,7 @@ impl Run<'_> {
         wedges: &Wedges,
         format: write::Format,
     ) -> Result<Option<Dressed<'o>>> {
-        let Some(Outfit { worn, wardrobe, .. }) = outfit.filter(|_| format != write::Format::Stl) else {
+        let Some(Outfit { worn, wardrobe, .. }) = outfit.filter(|o| wears(format, o)) else {
             return Ok(None);
         };
         let dress = worn.dress(mesh, wedges, self.progress)?;
@@ -112,11 +106,21 @@ impl Run<'_> {
             let held = match (attribute.carrier, attribute.name.as_str()) {
                 // What OBJ calls one attribute is columns here.
                 (Carrier::Vertex, "colour") => !wanted.is_empty(),
+                (Carrier::Vertex, "s" | "t" | "u" | "v" | "texture_u" | "texture_v" | "tx" | "ty")
+                    if is_worn(Meaning::Texture(0)) =>
+                {
+                    true
+                }
                 (Carrier::Vertex, name) => is_carried(name),
                 (Carrier::Corner, "vt") => is_worn(Meaning::Texture(0)),
                 (Carrier::Corner, "vn") => is_worn(Meaning::Normal(0)),
                 (Carrier::Face, "usemtl") => outfit.is_some() && format.holds_materials(),
                 (Carrier::Face, "g") => outfit.is_some() && format.holds_groups(),
+                (_, "texcoord") => is_worn(Meaning::Texture(0)),
+                (Carrier::Face, name) => outfit.is_some_and(|outfit| {
+                    let coat = &outfit.worn.coat;
+                    format.holds_labels(coat) && coat.face_columns.iter().any(|c| c.name == name)
+                }),
                 _ => false,
             };
             if !(held || lost.contains(&attribute.name)) {
@@ -141,6 +145,11 @@ impl Run<'_> {
         let (carried, outfit) = self.outfitted(&mesh, frame, asked)?;
         Ok(Intermediate { mesh, frame, carried, outfit, samples: None, source: super::Source::Loaded(report) })
     }
+}
+
+/// Whether a format holds any of what corners and faces carry.
+fn wears<S: Coordinate>(format: write::Format, outfit: &Outfit<S>) -> bool {
+    format != write::Format::Stl || format.holds_labels(&outfit.worn.coat)
 }
 
 /// What is said of seams.

@@ -24,12 +24,14 @@ mod obj_corners;
 mod off;
 mod ply;
 mod ply_binary;
+mod ply_corners;
 mod ply_header;
 mod ply_records;
 mod sample;
 mod spool;
 mod stl;
 mod stl_ascii;
+mod stl_corners;
 mod stream;
 
 pub use attribute::{Attribute, Carrier};
@@ -272,6 +274,7 @@ impl Scan {
     pub fn attributes(&self) -> Vec<Attribute> {
         match &self.body {
             Body::Ply(ply) => ply.attributes(),
+            Body::Stl(_) if self.has_coat() => vec![Attribute::of(Carrier::Face, stl_corners::NAME, "ushort")],
             Body::Stl(_) => Vec::new(),
             Body::Obj(text) => text.dialect.attributes(),
             Body::Off(text) => text.dialect.carried.attributes(),
@@ -413,20 +416,28 @@ impl Scan {
     /// What corners and faces carry, if they carry anything that is read.
     pub fn coat(&self, progress: &Progress) -> Result<Option<Coat>> {
         match &self.body {
-            Body::Obj(text) if text.dialect.is_coated() => obj_corners::coat(text, &self.input, progress).map(Some),
+            Body::Obj(text) if self.has_coat() => obj_corners::coat(text, &self.input, progress).map(Some),
+            Body::Ply(ply) if self.has_coat() => ply.coat(&self.input, progress).map(Some),
+            Body::Stl(stl) if self.has_coat() => stl.coat(&self.input, progress).map(Some),
             _ => Ok(None),
         }
     }
 
     /// Whether corners or faces carry anything that is read.
     pub fn has_coat(&self) -> bool {
-        matches!(&self.body, Body::Obj(text) if text.dialect.is_coated())
+        match &self.body {
+            Body::Obj(text) => text.dialect.is_coated(),
+            Body::Ply(ply) => ply.is_coated(),
+            Body::Stl(stl) => stl.is_coated(&self.input),
+            Body::Off(_) | Body::OffBinary(..) | Body::Gltf(_) => false,
+        }
     }
 
     /// Values of a coat that its corners and faces refer to, at most: texture coordinates, normals.
     pub fn coat_values(&self) -> u64 {
         match &self.body {
             Body::Obj(text) => text.dialect.coat_values(),
+            Body::Ply(ply) => ply.coat_values(),
             _ => 0,
         }
     }
@@ -435,6 +446,8 @@ impl Scan {
     pub fn corners(&self, coat: &Coat, progress: &Progress, step: &mut dyn FnMut(Corners)) -> Result<()> {
         match &self.body {
             Body::Obj(text) => obj_corners::corners(text, coat, &self.input, progress, step),
+            Body::Ply(ply) => ply.corners(coat, &self.input, progress, step),
+            Body::Stl(stl) => stl.corners(coat, &self.input, progress, step),
             _ => Ok(()),
         }
     }

@@ -23,6 +23,7 @@ pub(crate) use sink::Sink;
 pub use target::{Target, WholeFile, is_stdout, sweep};
 
 use crate::error::{Error, Result};
+use crate::mesh::coat::Coat;
 use crate::mesh::columns::Meaning;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -88,6 +89,15 @@ impl Format {
     /// Whether it says what faces are made of.
     pub fn holds_materials(self) -> bool {
         matches!(self, Format::Obj | Format::Glb | Format::GlbQuantised)
+    }
+
+    /// Whether it has a place for these numbers of faces.
+    pub fn holds_labels(self, coat: &Coat) -> bool {
+        match self {
+            Format::Ply | Format::PlyAscii => true,
+            Format::Stl => coat.is_spare(),
+            Format::Obj | Format::Glb | Format::GlbQuantised => false,
+        }
     }
 
     /// Whether it says what groups faces are in.

@@ -68,10 +68,17 @@ pub(super) fn elements<S: Coordinate, W: Write>(
     if let Some(clothes) = clothes.filter(|_| format == Format::Obj) {
         return dressed(contents, &clothes, sink);
     }
-    for corners in &mesh.faces {
+    let labels = contents.labels().filter(|_| format == Format::PlyAscii);
+    for (f, corners) in mesh.faces.iter().enumerate() {
         let [a, b, c] = corners.map(|v| u64::from(v) + base);
         line.clear();
-        let _ = writeln!(line, "{face} {a} {b} {c}");
+        let _ = write!(line, "{face} {a} {b} {c}");
+        if let Some((dress, coat)) = labels {
+            for bits in &coat.patches[dress.patches[f] as usize].labels {
+                let _ = write!(line, " {}", f64::from_bits(*bits) as i64);
+            }
+        }
+        line.push(b'\n');
         sink.put(&line)?;
     }
     Ok(())

@@ -16,6 +16,7 @@ mod night;
 mod oddities;
 mod precision;
 mod render;
+mod seams;
 mod support;
 mod uneven;
 
