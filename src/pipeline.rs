@@ -77,7 +77,8 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         target,
         refit_rounds: job.refit_rounds,
         tail_bytes: collapse::tail_bytes(target, &job.policies),
-        shade_bytes: shade_bytes(job, scan),
+        shade_bytes: if steering(job, scan).is_some() { 3 * collapse::SHADE_BYTES } else { 0 },
+        coat_bytes: if job.carry { coat_bytes(scan) } else { 0 },
         carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
     }
 }
@@ -96,18 +97,15 @@ fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
     Crew { workers: purse.workers, progress }
 }
 
-/// Bytes a vertex that what steers, and what corners carry, add where the scan is collapsed as it is.
-fn shade_bytes(job: &Job, scan: &Scan) -> u64 {
-    let colours = if steering(job, scan).is_some() { 3 } else { 0 };
+/// Bytes a vertex that what corners carry adds where the scan is collapsed as it is.
+fn coat_bytes(scan: &Scan) -> u64 {
+    if !scan.has_coat() {
+        return 0;
+    }
     let vertices = scan.vertex_count().max(1);
     let wedges = scan.coat_values().max(vertices);
-    match (job.carry, scan.has_coat()) {
-        (true, true) => {
-            let steering = (2 + colours) * collapse::SHADE_BYTES * wedges;
-            (carry::coat_bytes(scan.triangle_count(), wedges, vertices) + steering).div_ceil(vertices)
-        }
-        _ => colours * collapse::SHADE_BYTES,
-    }
+    let steering = 5 * collapse::SHADE_BYTES * wedges;
+    (carry::coat_bytes(scan.triangle_count(), wedges, vertices) + steering).div_ceil(vertices)
 }
 
 /// One reduction under way.
@@ -317,10 +315,16 @@ impl Run<'_> {
                     format!("{path}: clustered within this budget, {faces} faces are left of the {enough} asked for");
                 return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
             }
+            let shades = self.mean_shades(&clustered.mesh, clustered.frame, asked)?;
             return Ok(Intermediate {
                 mesh: clustered.mesh,
                 frame: clustered.frame,
-                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes, ..Carried::default() }),
+                carried: Some(Carried {
+                    quadrics: clustered.quadrics,
+                    homes: clustered.homes,
+                    shades,
+                    ..Carried::default()
+                }),
                 outfit: None,
                 samples: clustered.samples,
                 source: Source::Clustered(clustered.stats),

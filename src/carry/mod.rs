@@ -8,8 +8,8 @@
 //!
 //! The scan is streamed, at most [`SAMPLES`] of its vertices for each of the result's, so this works for a scan of any size
 //! and on the result of clustering too. [`shades`] gives
-//! the collapse the colours of a scan that fits the budget, to steer by; that of a clustered one, and every other number, is
-//! carried as well as the mesh that shape asks for can show it.
+//! the collapse the colours of a scan that fits the budget, to steer by, [`mean_shades`] those of a clustered one; every other
+//! number is carried as well as the mesh that shape asks for can show it. What corners and faces carry is in `coat`.
 //!
 //! **Memory** ([`bytes`]): beside the result, its tree, 36 bytes a face and 8 a vertex and column in hand; columns are
 //! taken [`BATCH`] at a time. Sums are of integers, so threads change nothing.
@@ -28,6 +28,7 @@ use crate::progress::Stage;
 use crate::read::{Crew, Scan};
 use glam::DVec3;
 use solve::System;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 /// Vertices of the scan for each of the result's, at most about: more hardly change a value.
@@ -152,6 +153,60 @@ pub fn shades<S: Coordinate>(
     shades.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
     Ok(Shades { dims: 3, values: shades })
 }
+
+/// The same for what clustering has made of a scan: each vertex takes the mean of the scan's vertices next to it.
+pub fn mean_shades<S: Coordinate>(
+    scan: &Scan,
+    colour: [usize; 3],
+    mesh: &IndexedMesh<S>,
+    frame: Frame,
+    length: f64,
+    crew: &Crew<'_>,
+) -> Result<Shades> {
+    let columns = colour.map(|c| &scan.columns()[c]);
+    let pick =
+        Pick { stride: scan.vertex_count().div_ceil(SAMPLES_TO_STEER * (mesh.positions.len() as u64).max(1)).max(1) };
+    crew.progress.begin(Stage::Carry, scan.bytes());
+    let sums: Vec<[AtomicU64; 4]> = mesh.positions.iter().map(|_| Default::default()).collect();
+    let tree = Tree::build(mesh);
+    scan.carried(
+        crew,
+        || 0,
+        |near, chunk| {
+            let vertices = chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns));
+            for (vertex, (p, values)) in (chunk.first..).zip(vertices) {
+                let p = DVec3::from_array(*p).map(|x| frame.to_frame(x));
+                if !pick.takes(vertex) || !p.is_finite() || colour.iter().any(|c| !values[*c].is_finite()) {
+                    continue;
+                }
+                (*near, _) = tree.search(p, *near);
+                let [a, b, c] = mesh.faces[*near as usize];
+                let nearer = |a: u32, b: u32| {
+                    let off = |v: u32| mesh.at(v).distance_squared(p);
+                    if off(b) < off(a) { b } else { a }
+                };
+                let sum = &sums[nearer(nearer(a, b), c) as usize];
+                sum[3].fetch_add(1, Relaxed);
+                for (sum, (c, column)) in sum.iter().zip(colour.iter().zip(columns)) {
+                    sum.fetch_add((FULL * column.brightness(values[*c])).round() as u64, Relaxed);
+                }
+            }
+            Ok(())
+        },
+    )?;
+    drop(tree);
+    let mean = |sum: [AtomicU64; 4]| {
+        let [r, g, b, n] = sum.map(AtomicU64::into_inner);
+        [r, g, b].map(|x| (length * x as f64 / (FULL * n.max(1) as f64)) as f32)
+    };
+    Ok(Shades { dims: 3, values: sums.into_iter().flat_map(mean).collect() })
+}
+
+/// Vertices of the scan for each of a clustered one's that are asked what colour steers.
+const SAMPLES_TO_STEER: u64 = 8;
+
+/// Full brightness in sums.
+const FULL: f64 = 65_535.0;
 
 /// Which vertices of the scan are asked: a share that no regularity of the scan can fall into step with.
 #[derive(Clone, Copy)]

@@ -1,13 +1,13 @@
 //! What corners and faces of the scan carry, on its way to the result.
 
 use super::{Intermediate, Run};
-use crate::carry::{Worn, put_on, range_length, shades};
+use crate::carry::{Worn, mean_shades, put_on, range_length, shades};
 use crate::collapse::Carried;
 use crate::error::Result;
 use crate::job::Job;
 use crate::mesh::coat::Dress;
 use crate::mesh::columns::{self, Meaning};
-use crate::mesh::{Coordinate, Frame, IndexedMesh, Wedges};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges};
 use crate::read::{Crew, Scan};
 use crate::report::Warning;
 use crate::write::{self, Clothes, Wardrobe};
@@ -67,6 +67,19 @@ impl Run<'_> {
         carried.wedges = wedges;
         let (wardrobe, missing) = Wardrobe::of(&worn.coat, self.scan.path());
         Ok((Some(carried), Some(Outfit { worn, wardrobe, missing })))
+    }
+
+    /// What clustering's result is to be steered by.
+    pub(super) fn mean_shades<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        asked: Option<u64>,
+    ) -> Result<Shades> {
+        let Some(colour) = steering(self.job, self.scan) else { return Ok(Shades::default()) };
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let length = self.job.policies.colour_weight * range_length(mesh, asked);
+        mean_shades(self.scan, colour, mesh, frame, length, &crew)
     }
 
     /// What the result wears, in a format that holds any of it.
