@@ -191,7 +191,9 @@ impl Run<'_> {
         let carried = self.carried(&wanted, &mesh, frame)?;
         let dressed = self.dressed(outfit.as_ref(), &mesh, &wedges, out.format())?;
         seconds.carry = clock.lap();
-        let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
+        let vertices =
+            dressed.as_ref().map_or(mesh.positions.len(), |d| d.vertices(out.format(), mesh.positions.len()));
+        let output = mesh_file(&self.job.output, mesh.faces.len(), vertices);
         out.write_carrying(&mesh, frame, &carried, dressed.as_ref().map(|d| d.clothes()), self.progress)?;
         drop(dressed);
         seconds.write = clock.lap();

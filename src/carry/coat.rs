@@ -8,7 +8,7 @@
 //!
 //! **Memory** ([`bytes`]): a wedge 16 bytes and 4 for each number, with a hash table while it is put on; 12 bytes a face.
 
-use super::solve::Sums;
+use super::solve::{LITTLE_SMOOTHING, Sums};
 use super::{Places, Range, SAMPLES, weights};
 use crate::error::Result;
 use crate::mesh::adjacency::{Stars, parts};
@@ -271,7 +271,7 @@ impl<S: Coordinate> Worn<S> {
                 ranges.iter_mut().zip(of(wedge)).for_each(|(range, x)| range.include(f64::from(*x)));
             }
         }
-        let system = sums.into_system(&split.faces);
+        let system = sums.into_system(&split.faces, LITTLE_SMOOTHING);
         let mut values = vec![0.0; n * count];
         for c in 0..n {
             progress.check()?;

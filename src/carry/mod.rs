@@ -314,7 +314,7 @@ fn gather<'m, S: Coordinate>(
         },
     )?;
     drop(tree);
-    Ok(sums.into_system(&mesh.faces))
+    Ok(sums.into_system(&mesh.faces, solve::SMOOTHING))
 }
 
 /// Barycentric coordinates of a point of a triangle; where it has no area, those of the nearest corner.

@@ -52,6 +52,13 @@ pub struct Dress {
     pub patches: Vec<u32>,
 }
 
+impl Dress {
+    /// Whether vertices are split: where they carry nothing there is no reason to, and a soup has no vertices.
+    pub fn splits(&self, soup: bool) -> bool {
+        !soup && !self.columns.columns.is_empty()
+    }
+}
+
 /// No texture coordinates, no normal.
 pub const NOTHING: u32 = u32::MAX;
 

@@ -36,6 +36,12 @@ pub(super) struct Dressed<'a> {
 }
 
 impl Dressed<'_> {
+    /// The vertices that a file of this format gets, of a mesh that has so many.
+    pub(super) fn vertices(&self, format: write::Format, of_mesh: usize) -> usize {
+        let apart = format != write::Format::Obj && self.dress.splits(format == write::Format::Stl);
+        if apart { self.dress.vertices.len() } else { of_mesh }
+    }
+
     pub(super) fn clothes(&self) -> (Clothes<'_>, &Path) {
         (Clothes { dress: &self.dress, coat: self.coat, wardrobe: self.wardrobe }, self.scan)
     }

@@ -51,12 +51,14 @@ impl Run<'_> {
             if S::DOUBLE && out.loses_doubles() {
                 warnings.push(Warning::StlLosesDoubles { vertices: chain.mesh.positions.len() as u64 });
             }
-            let output = mesh_file(&level.output, chain.mesh.faces.len(), chain.mesh.positions.len());
             let (wanted, _) = self.columns(out.format(), chain.outfit);
             let carried = self.carried(&wanted, &chain.mesh, chain.frame)?;
             let dressed = self.dressed(chain.outfit, &chain.mesh, &chain.wedges, out.format())?;
             seconds.carry += clock.lap();
             let clothes = dressed.as_ref().map(|d| d.clothes());
+            let vertices = chain.mesh.positions.len();
+            let vertices = dressed.as_ref().map_or(vertices, |d| d.vertices(out.format(), vertices));
+            let output = mesh_file(&level.output, chain.mesh.faces.len(), vertices);
             out.write_carrying(&chain.mesh, chain.frame, &carried, clothes, self.progress)?;
             seconds.write += clock.lap();
             let error_estimate = Some(chain.frame.to_file(chain.error));

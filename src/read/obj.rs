@@ -81,7 +81,7 @@ impl Obj {
 
     /// Whether there is anything that corners or faces carry.
     pub fn is_coated(&self) -> bool {
-        self.coat_values() + self.names.load(Relaxed) + self.materials.load(Relaxed) > 0
+        self.coat_values() + self.materials.load(Relaxed) > 0 || self.names.load(Relaxed) > 1
     }
 
     #[inline]
@@ -108,8 +108,9 @@ impl Obj {
         if self.uvs.load(Relaxed) > 0 {
             found.push(Attribute::of(Carrier::Corner, "vt", "2 numbers"));
         }
-        for (lines, name) in [(&self.materials, "usemtl"), (&self.names, "g")] {
-            if lines.load(Relaxed) > 0 {
+        // One name for all faces tells none of them apart.
+        for (lines, name, least) in [(&self.materials, "usemtl", 1), (&self.names, "g", 2)] {
+            if lines.load(Relaxed) >= least {
                 found.push(Attribute::of(Carrier::Face, name, "name"));
             }
         }

@@ -101,7 +101,7 @@ impl Target {
         if let Some((Clothes { dress, coat, wardrobe }, scan)) = clothes {
             if self.format == Format::Obj {
                 library = wardrobe.lay_out(&self.whole.path, scan, coat, progress)?;
-            } else if self.format != Format::Stl {
+            } else if dress.splits(self.format == Format::Stl) {
                 apart = split(mesh, carried, dress);
                 (mesh, carried) = (&apart.0, &apart.1);
             }

@@ -15,7 +15,7 @@ fn can() -> String {
     for j in 0..=HIGH {
         for i in 0..AROUND {
             let (sin, cos) = angle(i).sin_cos();
-            let _ = writeln!(text, "v {cos} {sin} {}", 3.0 * j as f64 / HIGH as f64);
+            let _ = writeln!(text, "v {} {} {}", cos as f32, sin as f32, 3.0 * j as f32 / HIGH as f32);
         }
     }
     text += "v 0 0 0\nv 0 0 3\n";
@@ -185,7 +185,7 @@ fn other_formats_get_split_vertices_and_other_folders_the_pictures() {
 fn seams_give_way_when_nothing_else_is_left() {
     let folder = Folder::new();
     scan(&folder);
-    let report = reduce(&folder, "small.obj", &["--faces", "8"]);
-    assert!(report["output"]["faces"].as_u64().unwrap() <= 8);
+    let report = reduce(&folder, "small.obj", &["--faces", "4"]);
+    assert!(report["output"]["faces"].as_u64().unwrap() <= 4);
     assert_eq!(report["warnings"][0]["code"], "seams-gave-way");
 }
