@@ -130,7 +130,7 @@ struct Found {
     keys: Vec<Key>,
 }
 
-fn find<S>(
+fn find<S: Coordinate>(
     scan: &Scan,
     mesh: &IndexedMesh<S>,
     coat: &Coat,

@@ -20,6 +20,7 @@ mod solve;
 pub use coat::{Worn, bytes as coat_bytes, put_on};
 
 use crate::error::Result;
+use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::columns::{Column, Columns, Meaning};
 use crate::mesh::{
     BATCH as BATCH_OF_PLACES, Coordinate, Extent, Frame, IndexedMesh, PositionTable, Shades, Tree, narrow, widen,
@@ -78,17 +79,46 @@ pub fn carry<S: Coordinate>(
 /// diagonal, since that is how deviation grows with edges on what is smooth.
 const RANGE_LENGTH: f64 = 8.0;
 
+/// And so many times the scan's noise, which no result comes nearer than: without, colours of a scanner's mesh have no say
+/// at all. At most the faces that one of the result stands for, since what looks like noise may be fine shape.
+const NOISE_LENGTH: f64 = 16.0;
+
+/// Faces that are asked how far the next one is from their plane.
+const ASKED_FOR_NOISE: usize = 20_000;
+
 /// What the full range of a number that steers is worth as a length in the frame, at a weight of 1.
 pub fn range_length<S: Coordinate>(mesh: &IndexedMesh<S>, asked: Option<u64>) -> f64 {
     let area = |face: &[u32; 3]| {
         let [a, b, c] = face.map(|v| mesh.at(v));
         0.5 * (b - a).cross(c - a).length()
     };
-    let faces = asked.unwrap_or(0).max(mesh.faces.len() as u64 / 50).max(1);
-    let edge = (mesh.faces.iter().map(area).sum::<f64>() / faces as f64).sqrt();
+    let count = mesh.faces.len().max(1) as f64;
+    let faces = (asked.unwrap_or(0) as f64).max(count / 50.0).max(1.0);
+    let area = mesh.faces.iter().map(area).sum::<f64>();
     let mut extent = Extent::default();
     (0..mesh.positions.len() as u32).for_each(|v| extent.include(mesh.at(v)));
-    RANGE_LENGTH * edge * edge / extent.diagonal()
+    let smooth = |faces: f64| RANGE_LENGTH * area / faces / extent.diagonal();
+    smooth(faces) + NOISE_LENGTH.min(count / faces) * (roughness(mesh) - smooth(count)).max(0.0)
+}
+
+/// How far a face's neighbours reach from its plane, on average.
+fn roughness<S: Coordinate>(mesh: &IndexedMesh<S>) -> f64 {
+    let mut stars = Stars::default();
+    stars.rebuild(&mesh.faces, mesh.positions.len());
+    let (mut sum, mut count) = (0.0, 0.0);
+    for f in (0..mesh.faces.len()).step_by(mesh.faces.len().div_ceil(ASKED_FOR_NOISE).max(1)) {
+        let [a, b, c] = mesh.faces[f];
+        let at = mesh.at(a);
+        let Some(normal) = (mesh.at(b) - at).cross(mesh.at(c) - at).try_normalize() else { continue };
+        for (u, v) in [(a, b), (b, c), (c, a)] {
+            let mut others = stars.of(u).iter().map(|&corner| parts(corner).0).filter(|g| *g != f);
+            let Some(g) = others.find(|g| mesh.faces[*g].contains(&v)) else { continue };
+            let Some(w) = mesh.faces[g].into_iter().find(|w| *w != u && *w != v) else { continue };
+            sum += (mesh.at(w) - at).dot(normal).abs();
+            count += 1.0;
+        }
+    }
+    if count > 0.0 { sum / count } else { 0.0 }
 }
 
 /// Where the vertices of a loaded scan are, by their positions.

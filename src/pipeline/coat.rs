@@ -124,7 +124,9 @@ impl Run<'_> {
         for attribute in self.scan.attributes() {
             let held = match (attribute.carrier, attribute.name.as_str()) {
                 // What OBJ calls one attribute is columns here.
-                (Carrier::Vertex, "colour") => !wanted.is_empty(),
+                (Carrier::Vertex, "colour" | "COLOR_0") => !wanted.is_empty(),
+                (Carrier::Vertex, "TEXCOORD_0") => is_worn(Meaning::Texture(0)),
+                (Carrier::Vertex, "NORMAL") => is_worn(Meaning::Normal(0)),
                 (Carrier::Vertex, "s" | "t" | "u" | "v" | "texture_u" | "texture_v" | "tx" | "ty")
                     if is_worn(Meaning::Texture(0)) =>
                 {

@@ -14,6 +14,7 @@ mod ascii;
 mod attribute;
 mod cursor;
 mod gltf;
+mod gltf_coat;
 mod gltf_json;
 mod gltf_scene;
 mod lines;
@@ -222,7 +223,8 @@ impl Scan {
         let columns = match &body {
             Body::Ply(ply) => ply.columns(),
             Body::Obj(text) => text.dialect.columns(),
-            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) | Body::Gltf(_) => Vec::new(),
+            Body::Gltf(gltf) => gltf.columns(),
+            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) => Vec::new(),
         };
         Ok(Scan { input, compression, body, columns })
     }
@@ -408,6 +410,7 @@ impl Scan {
         match &self.body {
             Body::Ply(ply) => ply.carried(&self.input, crew, &step)?,
             Body::Obj(text) => text.carried((self.columns.len(), 255.0), &self.input, crew, &step)?,
+            Body::Gltf(gltf) => gltf.carried(&self.input, crew, &step)?,
             _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
         }
         Ok(slots.into_inner())
@@ -419,6 +422,7 @@ impl Scan {
             Body::Obj(text) if self.has_coat() => obj_corners::coat(text, &self.input, progress).map(Some),
             Body::Ply(ply) if self.has_coat() => ply.coat(&self.input, progress).map(Some),
             Body::Stl(stl) if self.has_coat() => stl.coat(&self.input, progress).map(Some),
+            Body::Gltf(gltf) if self.has_coat() => gltf.coat(&self.input, progress).map(Some),
             _ => Ok(None),
         }
     }
@@ -429,7 +433,8 @@ impl Scan {
             Body::Obj(text) => text.dialect.is_coated(),
             Body::Ply(ply) => ply.is_coated(),
             Body::Stl(stl) => stl.is_coated(&self.input),
-            Body::Off(_) | Body::OffBinary(..) | Body::Gltf(_) => false,
+            Body::Gltf(gltf) => gltf.is_coated(),
+            Body::Off(_) | Body::OffBinary(..) => false,
         }
     }
 
@@ -443,11 +448,12 @@ impl Scan {
     }
 
     /// All triangles in the order of the file, with what their corners carry.
-    pub fn corners(&self, coat: &Coat, progress: &Progress, step: &mut dyn FnMut(Corners)) -> Result<()> {
+    pub fn corners(&self, coat: &Coat, progress: &Progress, step: &mut (dyn FnMut(Corners) + Send)) -> Result<()> {
         match &self.body {
             Body::Obj(text) => obj_corners::corners(text, coat, &self.input, progress, step),
             Body::Ply(ply) => ply.corners(coat, &self.input, progress, step),
             Body::Stl(stl) => stl.corners(coat, &self.input, progress, step),
+            Body::Gltf(gltf) => gltf.corners(coat, &self.input, progress, step),
             _ => Ok(()),
         }
     }

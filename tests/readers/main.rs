@@ -5,6 +5,7 @@
 mod compressed;
 mod gltf;
 mod gltf_files;
+mod models;
 mod mutate;
 mod oracle;
 mod ply;
