@@ -177,11 +177,11 @@ struct CollapseArgs {
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     valence_penalty: Option<Weight>,
 
-    /// How much vertices' colours steer against shape, where the scan fits the budget: 0 for not at all [default: 1]
+    /// How much vertices' colours steer against shape: 0 for not at all [default: 1]
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     colour_weight: Option<Weight>,
 
-    /// The same of texture coordinates [default: 1]
+    /// How much texture coordinates steer, where the scan fits the budget [default: 1]
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     texture_weight: Option<Weight>,
 
