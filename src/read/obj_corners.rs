@@ -64,25 +64,23 @@ pub(super) fn coat(text: &ObjText, input: &Input, progress: &Progress) -> Result
     let mut coat = Coat::default();
     let mut state = State::default();
     text.in_order(input, progress, |line| {
-        let values = |n: usize| -> Result<[f32; 3], Wrong<'_>> {
-            let mut found = [0.0; 3];
+        // What is wrong with a value is no reason to refuse a shape.
+        let values = |n: usize| {
             let mut words = words(line).skip(1);
+            let mut found = [0.0; 3];
             for (i, x) in found[..n].iter_mut().enumerate() {
-                // Only the first is a must: textures may be of one dimension.
-                match words.next() {
-                    Some(word) => *x = number(word, true).ok_or_else(|| unexpected(word, "a number"))? as f32,
-                    None if i == 0 || n == 3 => return Err((line, format!("fewer numbers than {n}"))),
-                    None => {}
-                }
+                // Textures may be of one dimension.
+                let none = if i == 1 && n == 2 { 0.0 } else { f32::NAN };
+                *x = words.next().map_or(none, |word| number(word, true).map_or(f32::NAN, |x| x as f32));
             }
-            Ok(found)
+            found
         };
         match line {
             [b'v', b't', b' ' | b'\t', ..] => {
-                let [u, v, _] = values(2)?;
+                let [u, v, _] = values(2);
                 coat.uvs.push([u, v]);
             }
-            [b'v', b'n', b' ' | b'\t', ..] => coat.normals.push(values(3)?),
+            [b'v', b'n', b' ' | b'\t', ..] => coat.normals.push(values(3)),
             [b'v', ..] => {}
             [b'f', b' ' | b'\t', ..] | [b'f', b'o', b' ' | b'\t', ..] => {
                 if state.patch().1 {
@@ -144,18 +142,16 @@ pub(super) fn corners(
     })
 }
 
-/// The numbers of a corner, `v`, `v/vt`, `v//vn` or `v/vt/vn`, from 0 on.
+/// The numbers of a corner, `v`, `v/vt`, `v//vn` or `v/vt/vn`, from 0 on. One of a value that is not there is none.
 fn corner(word: &[u8], known: [u64; 3], total: [u64; 3]) -> Result<[u32; 3], Wrong<'_>> {
     let mut numbers = [NOTHING; 3];
-    let parts = word.split(|b| *b == b'/');
-    for (i, part) in parts.take(3).enumerate().filter(|(i, part)| *i == 0 || !part.is_empty()) {
-        let index = integer(part).ok_or_else(|| unexpected(word, "numbers, as in 7, 7/8 or 7//9"))?;
-        let at = if index < 0 { known[i] as i64 + index } else { index - 1 };
-        if index == 0 || at < 0 || at as u64 >= total[i].min(u64::from(NOTHING)) {
-            let what = ["vertices", "texture coordinates", "normals"][i];
-            return Err((word, format!("number {index}, but the file has {} {what}", total[i])));
+    for (i, part) in word.split(|b| *b == b'/').take(3).enumerate() {
+        let at = integer(part).filter(|index| *index != 0).map(|n| if n < 0 { known[i] as i64 + n } else { n - 1 });
+        match at.filter(|at| *at >= 0 && (*at as u64) < total[i].min(u64::from(NOTHING))) {
+            Some(at) => numbers[i] = at as u32,
+            None if i == 0 => return Err(unexpected(word, "the number of a vertex first, as in 7, 7/8 or 7//9")),
+            None => {}
         }
-        numbers[i] = at as u32;
     }
     Ok(numbers)
 }

@@ -14,6 +14,7 @@ mod memory;
 mod models;
 mod night;
 mod oddities;
+mod oracles;
 mod precision;
 mod render;
 mod seams;

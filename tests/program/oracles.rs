@@ -1,10 +1,9 @@
 //! Real scans through other people's readers, where `MESHMILL_MODELS` names a folder of them.
 
-use super::write::binary_stl;
-use super::{Scratch, read};
+use crate::support::{Folder, Kind, Mesh};
 use meshmill::mesh::coat::NOTHING;
 use meshmill::progress::Progress;
-use meshmill::read::Scan;
+use meshmill::read::{Crew, Scan};
 use ply_rs::parser::Parser;
 use ply_rs::ply::{DefaultElement, Property};
 use std::path::{Path, PathBuf};
@@ -52,25 +51,48 @@ fn models_in_ply_agree_with_ply_rs_and_as_stl_with_stl_io() {
             other => panic!("{other:?} in {path:?}"),
         });
         let triangles: Vec<[u32; 3]> = triangles.map(Result::unwrap).collect();
-        let (_, found) = read(&path).unwrap();
-        assert!(found.positions == positions && found.triangles == triangles, "{path:?}");
+        assert!(read(&path) == (positions.clone(), triangles.clone()), "{path:?}");
 
-        let soup: Vec<_> =
-            triangles.iter().map(|t| t.map(|v| positions[v as usize].map(|x| f64::from(x as f32)))).collect();
-        let bytes = binary_stl(b"made", &soup);
+        let mesh = Mesh { positions, faces: triangles };
+        let bytes = mesh.bytes(Kind::Stl);
         let mut cursor = std::io::Cursor::new(&bytes);
         let oracle = stl_io::create_stl_reader(&mut cursor).unwrap();
         let oracle: Vec<_> = oracle.map(|t| t.unwrap().vertices.map(|v| v.0.map(f64::from))).collect();
-        let (_, found) = read(&Scratch::holding("scan.stl", &bytes).path()).unwrap();
-        assert!(found.soup == oracle, "{path:?} as STL");
+        let folder = Folder::new();
+        folder.file("scan.stl", bytes);
+        assert!(soup(&folder.path("scan.stl")) == oracle, "{path:?} as STL");
     }
+}
+
+fn read(path: &Path) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
+    let progress = Progress::default();
+    let (scan, crew) = (Scan::open(path, &progress).unwrap(), Crew { workers: 1, progress: &progress });
+    let positions = scan.vertices(&crew, Vec::new, |all, chunk| {
+        all.extend_from_slice(chunk.positions);
+        Ok(())
+    });
+    let triangles = scan.triangles(&crew, Vec::new, |all, chunk| {
+        all.extend_from_slice(chunk.triangles);
+        Ok(())
+    });
+    (positions.unwrap().concat(), triangles.unwrap().concat())
+}
+
+fn soup(path: &Path) -> Vec<[[f64; 3]; 3]> {
+    let progress = Progress::default();
+    let (scan, crew) = (Scan::open(path, &progress).unwrap(), Crew { workers: 1, progress: &progress });
+    let triangles = scan.soup(&crew, Vec::new, |all, chunk| {
+        all.extend_from_slice(chunk.triangles);
+        Ok(())
+    });
+    triangles.unwrap().concat()
 }
 
 /// What one corner has: a position and texture coordinates.
 type Corner = ([f32; 3], Option<[f32; 2]>);
 
 fn ours(path: &Path) -> Vec<Corner> {
-    let (_, found) = read(path).unwrap();
+    let (positions, faces) = read(path);
     let progress = Progress::default();
     let scan = Scan::open(path, &progress).unwrap();
     let coat = scan.coat(&progress).unwrap().unwrap();
@@ -78,10 +100,10 @@ fn ours(path: &Path) -> Vec<Corner> {
     scan.corners(&coat, &progress, &mut |all| {
         triangles.push(all.vertices);
         let uv = |i: usize| (all.uvs[i] != NOTHING).then(|| coat.uvs[all.uvs[i] as usize]);
-        corners.extend((0..3).map(|i| (found.positions[all.vertices[i] as usize].map(|x| x as f32), uv(i))));
+        corners.extend((0..3).map(|i| (positions[all.vertices[i] as usize].map(|x| x as f32), uv(i))));
     })
     .unwrap();
-    assert!(triangles == found.triangles, "{path:?}: corners and triangles are the same");
+    assert!(triangles == faces, "{path:?}: corners and triangles are the same");
     corners
 }
 
