@@ -5,7 +5,7 @@ use super::cursor::Cursor;
 use super::map::Input;
 use super::ply::Ply;
 use super::ply_binary::Binary;
-use super::ply_records::{Records, Values};
+use super::ply_records::{LabelledStep, Records, Row, Values};
 use crate::error::Result;
 use crate::mesh::coat::{Coat, Corners, NOTHING, Patch};
 use crate::progress::Progress;
@@ -57,8 +57,8 @@ impl Ply {
         wanted.sort_unstable();
         let mut uvs = Vec::with_capacity(self.vertex.count.min(input.len()) as usize);
         let cursor = Cursor::new(input, progress, self.vertex_offset);
-        let mut take = |rows: &mut Vec<super::ply_records::Row>| {
-            let uv = |row: &super::ply_records::Row| {
+        let mut take = |rows: &mut Vec<Row>| {
+            let uv = |row: &Row| {
                 let [a, b] = [row[3] as f32, row[4] as f32];
                 if at == wanted { [a, b] } else { [b, a] }
             };
@@ -83,7 +83,7 @@ impl Ply {
         &self,
         mut records: Records<'a, V>,
         wanted: &[usize],
-        take: &mut dyn FnMut(&mut Vec<super::ply_records::Row>),
+        take: &mut dyn FnMut(&mut Vec<Row>),
     ) -> Result<()> {
         let mut rows = Vec::new();
         loop {
@@ -95,7 +95,7 @@ impl Ply {
         }
     }
 
-    fn faces(&self, input: &Input, progress: &Progress, each: &mut dyn FnMut(&[u32], &[f64], &[f64])) -> Result<()> {
+    fn faces(&self, input: &Input, progress: &Progress, each: &mut LabelledStep<'_>) -> Result<()> {
         let wanted: Vec<usize> = self.face.labels().into_iter().map(|(i, _)| i).collect();
         let list = self.face.corner_texture();
         let (path, vertices, face) = (input.path(), self.vertex.count, &self.face);

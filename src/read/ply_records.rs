@@ -12,6 +12,9 @@ use std::path::Path;
 /// The most corners of a polygon: far beyond what any tool writes, and a bound on what one record makes us hold.
 pub(super) const MAX_CORNERS: u64 = 65_536;
 
+/// What becomes of a face: its corners, its numbers, the numbers of a list that it has.
+pub(super) type LabelledStep<'a> = dyn FnMut(&[u32], &[f64], &[f64]) + 'a;
+
 /// A position, and what is carried with it.
 pub(super) type Row = [f64; 3 + MOST_COLUMNS];
 
@@ -201,12 +204,7 @@ impl<'a, V: Values<'a>> Records<'a, V> {
     }
 
     /// Goes through all faces with numbers of theirs: corners, the numbers of these properties, those of a list.
-    pub fn labelled(
-        mut self,
-        wanted: &[usize],
-        list: Option<usize>,
-        each: &mut dyn FnMut(&[u32], &[f64], &[f64]),
-    ) -> Result<()> {
+    pub fn labelled(mut self, wanted: &[usize], list: Option<usize>, each: &mut LabelledStep<'_>) -> Result<()> {
         let (mut labels, mut values) = (Vec::new(), Vec::new());
         while self.pass_empty_lists()? {
             let begin = self.values.at();
