@@ -295,7 +295,7 @@ impl Run<'_> {
                 cells,
                 raw_faces,
                 spill_resident_bytes,
-                samples: self.purse.samples_beside(self.scan, spill_resident_bytes),
+                samples: self.purse.samples_beside(self.scan, cells, spill_resident_bytes),
                 boundary_weight: self.job.policies.boundary_weight,
                 limit,
             };

@@ -59,6 +59,10 @@ const ROUND_BYTES: u64 = 24;
 /// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too.
 const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
 const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
+/// Where cells are coarser than the intermediate mesh that is aimed at asks for, samples make up for some of it: as many
+/// more as the square of what is missing, up to this. On a noisy scan at eight times the target they are 56 in place of 36 a
+/// face, and E_avg is 0.8 % less.
+const MOST_COARSER: f64 = 2.0;
 /// By how much more surface a scan may have than its sample shows before samples are thinned.
 const SAMPLES_MARGIN: f64 = 1.15;
 
@@ -150,8 +154,13 @@ impl Purse {
         self.ask.refit_rounds > u32::from(sampled)
     }
 
-    /// How many samples of a scan that is clustered are worth taking.
-    pub fn samples(&self, scan: &Scan) -> u64 {
+    /// Whether samples of a scan that is clustered are worth taking.
+    fn is_sampled(&self, scan: &Scan) -> bool {
+        self.samples(scan, AIM) > 0
+    }
+
+    /// How many samples are worth taking of a scan whose intermediate mesh is `ratio` times as large as the result.
+    fn samples(&self, scan: &Scan, ratio: f64) -> u64 {
         let target = self.ask.target;
         if self.ask.refit_rounds == 0 || target == 0 {
             return 0;
@@ -159,13 +168,16 @@ impl Purse {
         let vertices = scan.vertex_count().min(scan.triangle_count());
         let on_scratch = (SAMPLE_SCRATCH_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
         let most = (self.samples_at_once(target) as f64 / SAMPLES_MARGIN) as u64;
-        let samples = (refit::SAMPLES as u64).saturating_mul(target).min(on_scratch).min(most);
+        let coarser = (AIM / ratio).clamp(1.0, MOST_COARSER);
+        let samples = (refit::SAMPLES as f64 * coarser * coarser * target as f64) as u64;
+        let samples = samples.min(on_scratch).min(most);
         if samples < (refit::LEAST_SAMPLES as u64 + 1).saturating_mul(target) { 0 } else { samples }
     }
 
-    /// How many are taken where so many bytes of binned vertices may be resident: fewer if scratch has to hold these, too.
-    pub fn samples_beside(&self, scan: &Scan, spill_resident_bytes: u64) -> u64 {
-        let samples = self.samples(scan);
+    /// How many samples are taken of a scan that goes into so many cells, where so many bytes of binned vertices may be
+    /// resident: fewer if scratch has to hold these, too.
+    pub fn samples_beside(&self, scan: &Scan, cells: usize, spill_resident_bytes: u64) -> u64 {
+        let samples = self.samples(scan, cells as f64 * FACES_A_CELL / self.ask.target.max(1) as f64);
         let vertices = scan.vertex_count();
         if scan.layout() == Layout::Soup || cluster::resident_spill_bytes(vertices) <= spill_resident_bytes {
             return samples;
@@ -232,7 +244,7 @@ impl Purse {
 
     /// The most cells that clustering, and the collapse of what comes of it, have room for.
     fn most_cells<S: Coordinate>(&self, scan: &Scan) -> usize {
-        let (layout, sampled) = (scan.layout(), self.samples(scan) > 0);
+        let (layout, sampled) = (scan.layout(), self.is_sampled(scan));
         let fits = |cells: usize| {
             let n = cells as u64;
             let faces = 2 * n + n / 64;
@@ -257,7 +269,7 @@ impl Purse {
         // Binned vertices that are all resident need no windows on a spill.
         let resident = left + aside(self.bytes) - aside_without_spill(self.bytes);
         let left = if cluster::resident_spill_bytes(scan.vertex_count()) <= resident { resident } else { left };
-        let sampled = self.samples(scan) > 0;
+        let sampled = self.is_sampled(scan);
         let (face_bytes, vertex_bytes) = (self.near_bytes::<S>(1, 0, sampled), self.near_bytes::<S>(0, 1, sampled));
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
     }

@@ -153,7 +153,7 @@ pub enum PairDistance {
     /// Closer than this: τ. The bones of a foot at 250 faces, by accumulated quadrics, have 0.6 of the E_avg that they have
     /// without at a τ of 0.8 % of the diagonal, and no less at 1.2 %: the choice matters.
     Within(f64),
-    /// Closer than the mean length of the edges at one of them.
+    /// Closer than a quarter of the mean length of the edges at one of them.
     Auto,
 }
 

@@ -1,6 +1,6 @@
-//! Edge flips: where the other diagonal of two faces is nearer to the samples.
+//! Edge flips: where the other diagonal of two faces is nearer to the samples, or undoes a face that has turned over and is
+//! no further from them.
 
-use super::NONE;
 use super::ground::{Ground, nearest_to_origin};
 use super::samples::{Evidence, Samples};
 use crate::mesh::adjacency::{after, before, parts};
@@ -14,33 +14,48 @@ const LEAST_GAIN: f32 = 0.02;
 /// Distances below this share of an edge are rounding, and flat regions stay as they are.
 const ROUNDING: f32 = 1e-5;
 
-/// The least cosine between the normals of the new faces and of the old ones.
+/// The least cosine between the normals of the new faces and of the old ones, where none of these has turned over.
 const LEAST_COSINE: f32 = 0.5;
 
 /// An edge whose flip pays: of faces (u, v, a) and (v, u, b).
 struct Flip {
+    mends: bool,
     gain: f32,
     faces: [u32; 2],
     quad: [u32; 4],
 }
 
-/// Flips the edges that pay, best first, no two at one vertex. Returns how many.
+/// Which edges are to flip.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Wanted {
+    /// All that pay.
+    All,
+    /// Those of faces that have turned over.
+    Turned,
+}
+
+/// The faces that flips of edges that pay make, best first, no two at one vertex.
 pub(super) fn flip<S: Coordinate>(
     ground: Ground<S>,
     evidence: &impl Evidence<S>,
     samples: &Samples,
-    fixed: &[bool],
     wedges: &Wedges,
+    wanted: Wanted,
 ) -> Vec<(u32, [u32; 3])> {
     let faces = ground.mesh.faces.len();
+    let turned: Vec<bool> =
+        (0..faces as u32).into_par_iter().with_min_len(1024).map(|f| ground.has_turned(f)).collect();
     let mut flips: Vec<Flip> = (0..faces as u32)
         .into_par_iter()
         .with_min_len(256)
-        .flat_map_iter(|f| (0..3).filter_map(move |side| candidate(ground, evidence, samples, f, side)))
+        .flat_map_iter(|f| {
+            let turned = &turned;
+            (0..3).filter_map(move |side| candidate(ground, evidence, samples, turned, wanted, [f, side]))
+        })
         .filter(|flip| wedges.is_empty() || !is_seam(ground.mesh, wedges, flip))
         .collect();
-    flips.sort_unstable_by(|a, b| b.gain.total_cmp(&a.gain).then(a.faces.cmp(&b.faces)));
-    let mut taken = vec![false; fixed.len()];
+    flips.sort_unstable_by(|a, b| b.mends.cmp(&a.mends).then(b.gain.total_cmp(&a.gain)).then(a.faces.cmp(&b.faces)));
+    let mut taken = vec![false; if flips.is_empty() { 0 } else { ground.mesh.positions.len() }];
     let mut changed = Vec::new();
     for Flip { faces: [f, g], quad: [u, b, v, a], .. } in flips {
         let quad = [u, b, v, a];
@@ -81,24 +96,31 @@ fn candidate<S: Coordinate>(
     ground: Ground<S>,
     evidence: &impl Evidence<S>,
     samples: &Samples,
-    f: u32,
-    side: usize,
+    turned: &[bool],
+    wanted: Wanted,
+    [f, side]: [u32; 2],
 ) -> Option<Flip> {
+    let side = side as usize;
     let face = ground.mesh.faces[f as usize];
     let (u, v, a) = (face[side], face[after(side)], face[before(side)]);
     if u > v {
         return None;
     }
-    let (g, b) = opposite(ground, f, u, v)?;
+    let (g, b) = ground.opposite(f, u, v)?;
+    let was = [ground.normal(f), ground.normal(g)];
+    let quad = [u, b, v, a];
+    let mends = turned[f as usize] || turned[g as usize];
+    if wanted == Wanted::Turned && !mends {
+        return None;
+    }
     let joined = ground.stars.of(a).iter().any(|&c| ground.mesh.faces[parts(c).0].contains(&b));
     if a == b || joined {
         return None;
     }
     let at = |w: u32| ground.mesh.positions[w as usize];
-    let normal = |[p, q, r]: [u32; 3]| step(at(p), at(q)).cross(step(at(p), at(r)));
-    let (was, would) = ([normal(face), normal(ground.mesh.faces[g as usize])], [[u, b, a], [b, v, a]]);
+    let would = [[u, b, a], [b, v, a]];
     let tilts = |n: Vec3| was.iter().any(|w| n.dot(*w) < LEAST_COSINE * n.length() * w.length());
-    if would.iter().any(|t| tilts(normal(*t))) {
+    if !mends && would.iter().any(|t| tilts(ground.normal_of(*t))) {
         return None;
     }
     let (mut before_sq, mut after_sq) = (0.0, 0.0);
@@ -115,22 +137,11 @@ fn candidate<S: Coordinate>(
     }
     let gain = before_sq - after_sq;
     let rounding_sq = ROUNDING * ROUNDING * was[0].length() * step(at(u), at(v)).length_squared();
-    (gain > LEAST_GAIN * before_sq + rounding_sq).then_some(Flip { gain, faces: [f, g], quad: [u, b, v, a] })
-}
-
-/// The one other face of the edge from `u` to `v` of face `f`, and its third vertex.
-fn opposite<S: Coordinate>(ground: Ground<S>, f: u32, u: u32, v: u32) -> Option<(u32, u32)> {
-    let mut found = None;
-    for &corner in ground.stars.of(u) {
-        let (g, i) = parts(corner);
-        let face = ground.mesh.faces[g];
-        if g as u32 == f || !face.contains(&v) {
-            continue;
-        }
-        if found.is_some() || face[before(i)] != v {
-            return None;
-        }
-        found = Some((g as u32, face[after(i)]));
+    let least = LEAST_GAIN * before_sq + rounding_sq;
+    if gain <= if mends { -least } else { least } {
+        return None;
     }
-    found.filter(|&(g, _)| g != NONE)
+    let [now, left] = ground.turned_by_flip([f, g], quad);
+    let allowed = if mends { left < now } else { left == 0 };
+    allowed.then_some(Flip { mends, gain, faces: [f, g], quad })
 }

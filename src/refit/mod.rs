@@ -22,17 +22,20 @@ mod flip;
 mod ground;
 mod samples;
 mod system;
+mod turned;
 
 use crate::Result;
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::samples::SAMPLE_BYTES;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, Wedges, narrow, step, widen};
 use crate::progress::{Progress, Stage};
+use flip::Wanted;
 use glam::Vec3;
 use ground::Ground;
 use rayon::prelude::*;
 use samples::{Evidence, Point, Samples, Scanned};
 use system::{Block, System};
+use turned::is_against;
 
 /// No face, no vertex.
 const NONE: u32 = u32::MAX;
@@ -52,7 +55,10 @@ pub const BYTES_A_FACE: u64 = 180;
 pub const BYTES_A_SAMPLE: u64 = SAMPLE_BYTES as u64 + 8;
 
 /// The least cosine between a face's normals before and after a round.
-const LEAST_COSINE: f32 = 0.3;
+const LEAST_COSINE: f64 = 0.3;
+
+/// From this cosine on a face turns so little that it is not looked at whether it turns over.
+const STEADY: f64 = 0.99;
 
 /// How often the steps around a face that would turn too far are halved before they are not taken at all.
 const HALVINGS: usize = 4;
@@ -130,22 +136,38 @@ fn fit<S: Coordinate>(
         progress.check()?;
         samples.assign(Ground { mesh, stars: &stars }, evidence);
         if round > 0 {
-            let flips = flip::flip(Ground { mesh, stars: &stars }, evidence, &samples, &fixed, wedges);
-            flip::move_wedges(&flips, mesh, wedges);
-            for &(f, face) in &flips {
-                mesh.faces[f as usize] = face;
-            }
-            stars.rebuild(&mesh.faces, mesh.positions.len());
+            flip(mesh, &mut stars, evidence, &samples, wedges, Wanted::All);
             samples.assign(Ground { mesh, stars: &stars }, evidence);
         }
         let back = fine_mesh.filter(|_| round > 0).map(|mesh| Ground { mesh, stars: &fine });
         let blocks = blocks(Ground { mesh, stars: &stars }, back, evidence, &samples);
         let steps = System { faces: &mesh.faces, stars: &stars, fixed: &fixed, blocks: &blocks }.solve();
         drop(blocks);
-        take(mesh, steps);
+        take(mesh, &stars, steps);
         progress.add(1);
     }
+    flip(mesh, &mut stars, evidence, &samples, wedges, Wanted::Turned);
     Ok(())
+}
+
+/// Flips the edges that pay.
+fn flip<S: Coordinate>(
+    mesh: &mut IndexedMesh<S>,
+    stars: &mut Stars,
+    evidence: &impl Evidence<S>,
+    samples: &Samples,
+    wedges: &mut Wedges,
+    wanted: Wanted,
+) {
+    let flips = flip::flip(Ground { mesh, stars }, evidence, samples, wedges, wanted);
+    if flips.is_empty() {
+        return;
+    }
+    flip::move_wedges(&flips, mesh, wedges);
+    for (f, face) in flips {
+        mesh.faces[f as usize] = face;
+    }
+    stars.rebuild(&mesh.faces, mesh.positions.len());
 }
 
 /// Whether each vertex stays where it is: on a border, or where the surface is not manifold.
@@ -194,18 +216,29 @@ fn blocks<S: Coordinate>(
     (0..ground.mesh.faces.len()).into_par_iter().with_min_len(64).map(block).collect()
 }
 
-/// Moves the vertices, as far as no face turns.
-fn take<S: Coordinate>(mesh: &mut IndexedMesh<S>, mut steps: Vec<Vec3>) {
-    for turn in 0..=HALVINGS {
+/// Moves the vertices, as far as no face turns too far or over.
+fn take<S: Coordinate>(mesh: &mut IndexedMesh<S>, stars: &Stars, mut steps: Vec<Vec3>) {
+    // A face that stays where it is has not turned, so that this ends.
+    for turn in 0.. {
+        let ground = Ground { mesh, stars };
         let at = |v: u32| mesh.positions[v as usize];
-        let turned = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(at);
-            let [s, t, u] = face.map(|v| steps[v as usize]);
-            let (ab, ac) = (step(a, b), step(a, c));
-            let (was, would) = (ab.cross(ac).as_dvec3(), (ab + (t - s)).cross(ac + (u - s)).as_dvec3());
-            was.dot(would) < f64::from(LEAST_COSINE) * was.length() * would.length()
+        let moved = |f: u32| {
+            let [a, b, c] = mesh.faces[f as usize];
+            let [s, t, u] = [a, b, c].map(|v| steps[v as usize]);
+            (step(at(a), at(b)) + (t - s)).cross(step(at(a), at(c)) + (u - s))
         };
-        let mut vertices: Vec<u32> = mesh.faces.par_iter().filter(|face| turned(face)).flatten().copied().collect();
+        let turned = |f: u32| {
+            let (was, would) = (ground.normal(f), moved(f));
+            let along = was.as_dvec3().dot(would.as_dvec3());
+            let lengths = was.as_dvec3().length() * would.as_dvec3().length();
+            let over = || {
+                let around = |normal: &dyn Fn(u32) -> Vec3| ground.neighbours(f).map(normal).sum();
+                is_against(would, around(&moved)) && !is_against(was, around(&|g| ground.normal(g)))
+            };
+            along < LEAST_COSINE * lengths || (along < STEADY * lengths && over())
+        };
+        let faces = (0..mesh.faces.len() as u32).into_par_iter().with_min_len(1024);
+        let mut vertices: Vec<u32> = faces.filter(|&f| turned(f)).flat_map_iter(|f| mesh.faces[f as usize]).collect();
         if vertices.is_empty() {
             break;
         }

@@ -19,6 +19,7 @@ mod precision;
 mod render;
 mod seams;
 mod support;
+mod thesis;
 mod uneven;
 
 /// A budget in which scans of 100,000 faces and more go out of core.

@@ -1,6 +1,11 @@
 //! Real scans, where `MESHMILL_MODELS` names a folder of them.
 
-use crate::support::{Done, Folder};
+use crate::support::{Done, Folder, Mesh};
+use glam::DVec3;
+use meshmill::mesh::IndexedMesh;
+use meshmill::mesh::audit::Audit;
+use meshmill::mesh::tree::Tree;
+use meshmill::mesh::triangle::distance_sq;
 use std::path::{Path, PathBuf};
 
 fn models() -> Vec<PathBuf> {
@@ -17,6 +22,14 @@ fn models() -> Vec<PathBuf> {
     models.sort();
     assert!(!models.is_empty(), "{} has no table63/*.ply and no dev/*.ply", folder.display());
     models
+}
+
+/// One of them.
+pub fn model(name: &str) -> Option<PathBuf> {
+    let models = models();
+    let found = models.iter().find(|path| path.ends_with(name)).cloned();
+    assert!(models.is_empty() || found.is_some(), "the folder of models has no {name}");
+    found
 }
 
 /// The scan itself, welded.
@@ -59,5 +72,51 @@ fn large_models_go_out_of_core_as_well() {
         assert!((asked - 2..=asked).contains(&done.faces()), "{model:?}: {} of {asked}", done.faces());
         let growth = done.mesh.diagonal() / scan.mesh.diagonal();
         assert!((growth - 1.0).abs() < 0.05, "{model:?}: the diagonal is {growth} times as long");
+    }
+}
+
+/// Faces that look against the scan: the nearest face of the scan looks the other way, and so does all of it within the face's own
+/// size, so that it is not the other side of something thin.
+fn turned_over(scan: &Mesh, result: &Mesh) -> usize {
+    let corners = |mesh: &Mesh, face: &[u32; 3]| face.map(|v| DVec3::from(mesh.positions[v as usize]));
+    let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
+    let whole = IndexedMesh { positions: scan.positions.clone(), faces: scan.faces.clone() };
+    let tree = Tree::build(&whole);
+    let over = |face: &&[u32; 3]| {
+        let [a, b, c] = corners(result, face);
+        let (center, size) = ((a + b + c) / 3.0, (a.distance(b) + b.distance(c) + c.distance(a)) / 3.0);
+        let agrees = |other: &[u32; 3]| normal(corners(scan, other)).dot(normal([a, b, c])) > 0.0;
+        !agrees(&scan.faces[tree.search(center, 0).0 as usize])
+            && !scan.faces.iter().any(|f| agrees(f) && distance_sq(center, corners(scan, f)) < size * size)
+    };
+    result.faces.iter().filter(over).count()
+}
+
+#[test]
+fn no_face_turns_over_no_border_opens_and_topology_is_kept_on_request() {
+    let folder = Folder::new();
+    for (name, faces) in
+        [("cow", "300"), ("bunny", "1600"), ("femur", "1531"), ("exchanger", "1103"), ("teeth", "4242")]
+    {
+        let Some(path) = model(&format!("table63/{name}.ply")) else { return };
+        let scan = whole(&folder, &path);
+        let audit = |done: &Done| Audit::of(&done.mesh.faces, done.mesh.positions.len());
+        let handles = |done: &Done| {
+            let (found, mesh) = (audit(done), &done.mesh);
+            let edges = (3 * mesh.faces.len() as u64 + found.irregularities.border_edges) / 2;
+            (found.components, found.borders, (mesh.positions.len() + mesh.faces.len()) as i64 - edges as i64)
+        };
+        let was = audit(&scan);
+        for more in [&[][..], &["--refit", "0"], &["--topology", "preserve"]] {
+            let done = folder.reduce(&path, &[&["--faces", faces, "--no-carry"], more].concat()).done("in-core");
+            let found = audit(&done);
+            assert!(found.borders <= was.borders, "{name} {more:?}: {found:?}");
+            assert!(found.irregularities.border_edges <= was.irregularities.border_edges, "{name} {more:?}: {found:?}");
+            let turned = turned_over(&scan.mesh, &done.mesh);
+            assert_eq!(turned, 0, "{name} {more:?}");
+            if more.contains(&"preserve") {
+                assert_eq!(handles(&done), handles(&scan), "{name}: components, borders, Euler's number");
+            }
+        }
     }
 }
