@@ -14,6 +14,7 @@
 //! | collapse | 36 a face, 113 a vertex (137), and a fourteenth: about 99 a face on closed scans |
 //! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target; 4 a vertex where samples do |
 //! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
+//! | what steers | 12 a vertex of the collapse for colours; what corners carry: 12 a face, 84 a vertex and 20 a wedge more |
 //! | refit | 180 a face that is asked for, 24 a sample |
 //!
 //! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
@@ -95,8 +96,10 @@ pub struct Ask {
     pub refit_rounds: u32,
     /// What the last steps of the collapse take.
     pub tail_bytes: u64,
-    /// What a vertex carries into the collapse beside its position, where the scan is collapsed as it is.
+    /// What steers, beside a vertex's position.
     pub shade_bytes: u64,
+    /// What corners and faces carry into the collapse of the scan itself, for each of its vertices.
+    pub coat_bytes: u64,
     /// What carrying over takes, beside the result.
     pub carry_bytes: u64,
 }
@@ -144,7 +147,8 @@ impl Purse {
     /// after it, takes less, or has fewer samples.
     fn near_bytes<S: Coordinate>(&self, faces: u64, vertices: u64, sampled: bool) -> u64 {
         let kept = if self.keeps_reference(sampled) { collapse::reference_bytes::<S>(faces, vertices) } else { 0 };
-        collapse::bytes::<S>(faces, vertices) + kept + if sampled { 4 * vertices } else { 0 }
+        let shades = self.ask.shade_bytes * vertices;
+        collapse::bytes::<S>(faces, vertices) + kept + shades + if sampled { 4 * vertices } else { 0 }
     }
 
     /// Whether the collapse is to keep a reference: samples of the scan make do without in the first round.
@@ -198,11 +202,11 @@ impl Purse {
     pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
         let bytes = |faces: u64, vertices: u64| {
-            let shades = self.ask.shade_bytes * vertices;
+            let shades = self.ask.coat_bytes * vertices;
             if self.ask.target == 0 || scan.triangle_count() / 20 < self.ask.target {
                 shades + self.near_bytes::<S>(faces, vertices, false)
             } else {
-                shades + collapse::bytes::<S>(faces, vertices)
+                shades + self.ask.shade_bytes * vertices + collapse::bytes::<S>(faces, vertices)
             }
         };
         if self.carrying_bytes::<S>(scan) > self.for_arrays() {
@@ -278,15 +282,19 @@ impl Purse {
         if self.ask.carry_bytes == 0 { 0 } else { self.ask.carry_bytes.saturating_add(result) }
     }
 
+    fn in_core_shades(&self) -> u64 {
+        self.ask.shade_bytes.saturating_add(self.ask.coat_bytes)
+    }
+
     /// What loading takes, colours and all.
     fn loading_bytes(&self, scan: &Scan) -> u64 {
-        load_peak_bytes(scan).saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()))
+        load_peak_bytes(scan).saturating_add(self.in_core_shades().saturating_mul(scan.vertex_count()))
     }
 
     /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
     pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
         let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count(), false);
-        let collapse = collapse.saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()));
+        let collapse = collapse.saturating_add(self.ask.coat_bytes.saturating_mul(scan.vertex_count()));
         let loading = self.loading_bytes(scan);
         let most = loading.max(self.carrying_bytes::<S>(scan));
         self.least_budget(|purse| collapse <= purse.for_scan(scan) && most <= purse.for_arrays())
