@@ -3,11 +3,11 @@
 use crate::collapse::{self, Collapsed, Placement, Policies, Primitive, collapse};
 use crate::error::{Error, Result};
 use crate::job::DEFAULT_REFIT_ROUNDS;
-use crate::mesh::{Frame, IndexedMesh};
+use crate::mesh::{Frame, IndexedMesh, Wedges};
 use crate::progress::Progress;
 use crate::queue::{reset_peak, rss_bytes};
 use crate::read::{Crew, Scan, load};
-use crate::refit::{Aim, LEAST_RATIO, refit};
+use crate::refit::{Aim, Held, LEAST_RATIO, refit};
 use crate::report::peak_rss_bytes;
 use serde::Serialize;
 use std::path::Path;
@@ -119,7 +119,8 @@ fn reduced(
         collapse::Options { policies: policies.in_frame(frame), keep_reference, ..collapse::Options::to(faces) };
     let Collapsed { mut mesh, reference, locked, .. } = collapse(mesh, None, &options, progress)?;
     let aim = Aim { reference: reference.as_ref(), samples: None };
-    refit(&mut mesh, &aim, rounds, &locked, progress)?;
+    let held = Held { locked: &locked, wedges: &mut Wedges::default() };
+    refit(&mut mesh, &aim, rounds, held, progress)?;
     Ok(mesh)
 }
 
