@@ -179,9 +179,13 @@ struct CollapseArgs {
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     valence_penalty: Option<Weight>,
 
-    /// How much vertices' colours steer against shape, where the scan fits the budget: 0 for not at all [default: 1]
+    /// How much vertices' colours steer against shape: 0 for not at all [default: 1]
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     colour_weight: Option<Weight>,
+
+    /// How much texture coordinates steer, where the scan fits the budget [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    texture_weight: Option<Weight>,
 
     /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
     #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
@@ -556,6 +560,7 @@ impl From<CollapseArgs> for CollapseTable {
             compactness: args.compactness,
             valence_penalty: args.valence_penalty,
             colour_weight: args.colour_weight,
+            texture_weight: args.texture_weight,
             topology: args.topology,
             pair_distance: args.pair_distance,
             primitive: args.primitive,

@@ -17,7 +17,7 @@
 //! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex, samples of the surface |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
 //! | [`refit`] | that mesh, and samples of the scan or a finer mesh | the same mesh, closer to the scan |
-//! | [`carry`] | the scan, that mesh | what vertices carry, for the mesh's vertices |
+//! | [`carry`] | the scan, that mesh | what vertices, corners and faces carry, for the mesh's |
 //! | [`write`](mod@write) | a mesh | a file that appears whole or not at all |
 //! | [`measure`] | two scans | how far they are from each other, both ways |
 //! | [`inspect`] | a scan | counts of what is in it and of what is wrong with it |
@@ -42,7 +42,7 @@
 //! [`mesh::Frame`] and kept in the scalar that the file has; arithmetic is done in `f64` on differences.
 //!
 //! Words: *soup*, triangles without shared vertices. *Weld*, make one vertex of coincident ones. *Cell*, a cube of the
-//! clustering grid; *representative*, its vertex. *Quadric*, squared distance to weighted planes. *Candidate*, an edge that
+//! clustering grid; *representative*, its vertex. *Wedge*, a vertex as one side of a seam sees it. *Quadric*, squared distance to weighted planes. *Candidate*, an edge that
 //! could be collapsed; *cost*, its quadric's value: squared length times area. *Batch*, collapses applied together. *Spill*,
 //! what memory does not hold, in a scratch file. *Deviation*, a measured length; *error*, an estimated one or a failure.
 //! *Budget*, bytes.

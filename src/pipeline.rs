@@ -1,5 +1,6 @@
 //! read → cluster → collapse → write → measure: the order in which a scan goes through the mill.
 
+mod coat;
 mod compare;
 mod effort;
 mod forecast;
@@ -15,20 +16,21 @@ pub use inspect::inspect;
 pub use portrait::PortraitAsked;
 pub use render::render;
 
-use crate::carry::{self, carry, shades};
+use crate::carry::{self, carry};
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
 use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
-use crate::mesh::columns::{self, Columns, Meaning};
+use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
 use crate::progress::{Progress, Stage};
-use crate::read::{Carrier, Crew, LoadReport, Scalar, Scan, load};
-use crate::refit::{self, Aim, refit};
+use crate::read::{Crew, LoadReport, Scalar, Scan, load};
+use crate::refit::{self, Aim, Held, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
+use coat::{Outfit, seam_warning, steering};
 use glam::DVec3;
 use portrait::Portrait;
 use std::path::Path;
@@ -77,7 +79,8 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         target,
         refit_rounds: job.refit_rounds,
         tail_bytes: collapse::tail_bytes(target, &job.policies),
-        shade_bytes: if steering(job, scan).is_some() { collapse::SHADE_BYTES } else { 0 },
+        shade_bytes: if steering(job, scan).is_some() { 3 * collapse::SHADE_BYTES } else { 0 },
+        coat_bytes: if job.carry { coat_bytes(scan) } else { 0 },
         carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
     }
 }
@@ -96,10 +99,15 @@ fn read_crew<'a>(purse: &Purse, progress: &'a Progress) -> Crew<'a> {
     Crew { workers: purse.workers, progress }
 }
 
-/// Columns of the colour that is to steer, if one is.
-fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
-    let steers = job.carry && job.policies.colour_weight > 0.0;
-    steers.then(|| columns::find(scan.columns(), Meaning::Colour)).flatten()
+/// Bytes a vertex that what corners carry adds where the scan is collapsed as it is.
+fn coat_bytes(scan: &Scan) -> u64 {
+    if !scan.has_coat() {
+        return 0;
+    }
+    let vertices = scan.vertex_count().max(1);
+    let wedges = scan.coat_values().max(vertices);
+    let steering = 5 * collapse::SHADE_BYTES * wedges;
+    (carry::coat_bytes(scan.triangle_count(), wedges, vertices) + steering).div_ceil(vertices)
 }
 
 /// One reduction under way.
@@ -121,6 +129,7 @@ struct Intermediate<S> {
     mesh: IndexedMesh<S>,
     frame: Frame,
     carried: Option<Carried>,
+    outfit: Option<Outfit<S>>,
     samples: Option<SampleFile>,
     source: Source,
 }
@@ -140,7 +149,7 @@ impl Run<'_> {
         let mut clock = Clock::new(self.begun);
         let mut seconds = Timeline::default();
         let opened = clock.lap();
-        let Intermediate { mesh, frame, carried, samples, source } = self.intermediate::<S>(asked)?;
+        let Intermediate { mesh, frame, carried, outfit, samples, source } = self.intermediate::<S>(asked)?;
         match source {
             Source::Loaded(_) => seconds.read = opened + clock.lap(),
             Source::Clustered(_) => (seconds.read, seconds.cluster) = (opened, clock.lap()),
@@ -148,8 +157,9 @@ impl Run<'_> {
         let faces = mesh.faces.len();
         let points: Vec<DVec3> = self.locked.iter().map(|p| p.map(|x| frame.to_frame(x))).collect();
         let options = self.collapse_options(asked, faces, frame, &points, samples.is_some());
-        let Collapsed { mut mesh, error_estimate, irregularities, reference, homes, dropped, locked, .. } =
-            collapse(mesh, carried, &options, self.progress)?;
+        let collapsed = collapse(mesh, carried, &options, self.progress)?;
+        let Collapsed { mut mesh, error_estimate, irregularities, reference, homes, dropped, locked, .. } = collapsed;
+        let mut wedges = collapsed.wedges;
         if dropped.faces == faces as u64 {
             let what = "every piece is smaller than the least component asked for".into();
             return Err(Error::Unmet { file: self.job.input.clone(), what });
@@ -159,7 +169,8 @@ impl Run<'_> {
         let most = self.purse.samples_at_once(mesh.faces.len() as u64);
         let samples = samples.map(|file| file.load(most, &homes)).transpose()?;
         let aim = Aim { reference: reference.as_ref(), samples: samples.as_ref() };
-        refit(&mut mesh, &aim, self.job.refit_rounds, &locked, self.progress)?;
+        let held = Held { locked: &locked, wedges: &mut wedges };
+        refit(&mut mesh, &aim, self.job.refit_rounds, held, self.progress)?;
         drop(samples);
         seconds.refit = clock.lap();
 
@@ -174,14 +185,19 @@ impl Run<'_> {
         if S::DOUBLE && out.loses_doubles() {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
-        let (wanted, lost) = self.columns(out.format());
+        warnings.extend(seam_warning(collapsed.seams_gave_way));
+        let (wanted, lost) = self.columns(out.format(), outfit.as_ref());
         if !lost.is_empty() {
             warnings.push(Warning::NotCarried { names: lost });
         }
         let carried = self.carried(&wanted, &mesh, frame)?;
+        let dressed = self.dressed(outfit.as_ref(), &mesh, &wedges, out.format())?;
         seconds.carry = clock.lap();
-        let output = mesh_file(&self.job.output, mesh.faces.len(), mesh.positions.len());
-        out.write_carrying(&mesh, frame, &carried, self.progress)?;
+        let vertices =
+            dressed.as_ref().map_or(mesh.positions.len(), |d| d.vertices(out.format(), mesh.positions.len()));
+        let output = mesh_file(&self.job.output, mesh.faces.len(), vertices);
+        out.write_carrying(&mesh, frame, &carried, dressed.as_ref().map(|d| d.clothes()), self.progress)?;
+        drop(dressed);
         seconds.write = clock.lap();
         let (mode, cells, ratio) = match &source {
             Source::Loaded(_) => (Mode::InCore, None, None),
@@ -191,7 +207,8 @@ impl Run<'_> {
             }
         };
         let references = reference.filter(|_| !coarser.is_empty()).into_iter().collect();
-        let chain = levels::Chain { mesh, frame, references, error: error_estimate, locked: &points };
+        let outfit = outfit.as_ref();
+        let chain = levels::Chain { mesh, frame, references, error: error_estimate, locked: &points, wedges, outfit };
         let mut coarser = self.coarser(chain, coarser, &mut clock, &mut seconds, &mut warnings)?;
         let mut portrait = self.begin_portrait(&mut warnings)?;
         seconds.render = clock.lap();
@@ -251,9 +268,8 @@ impl Run<'_> {
         if let Some(most_vertices) = self.purse.in_core::<S>(self.scan) {
             self.progress.begin(Stage::Read, self.scan.bytes());
             let crew = Crew { workers: 1, progress: self.progress };
-            if let Some((mesh, frame, report)) = load(self.scan, &crew, most_vertices)? {
-                let carried = self.shaded(&mesh, frame, asked)?;
-                return Ok(Intermediate { mesh, frame, carried, samples: None, source: Source::Loaded(report) });
+            if let Some(loaded) = load(self.scan, &crew, most_vertices)? {
+                return self.loaded(loaded, asked);
             }
         }
         let locks = self.job.lock_vertices.as_ref().map(|_| "locking vertices");
@@ -264,20 +280,6 @@ impl Run<'_> {
         }
         let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
         self.clustered(asked, wanted, most)
-    }
-
-    /// The scan's colours, where they are to steer.
-    fn shaded<S: Coordinate>(
-        &self,
-        mesh: &IndexedMesh<S>,
-        frame: Frame,
-        asked: Option<u64>,
-    ) -> Result<Option<Carried>> {
-        let Some(colour) = steering(self.job, self.scan) else { return Ok(None) };
-        let crew = Crew { workers: self.purse.workers, progress: self.progress };
-        let weight = self.job.policies.colour_weight;
-        let shades = shades(self.scan, colour, mesh, frame, weight, asked, &crew)?;
-        Ok(Some(Carried { shades, ..Carried::default() }))
     }
 
     /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.
@@ -317,10 +319,17 @@ impl Run<'_> {
                     format!("{path}: clustered within this budget, {faces} faces are left of the {enough} asked for");
                 return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
             }
+            let shades = self.mean_shades(&clustered.mesh, clustered.frame, asked)?;
             return Ok(Intermediate {
                 mesh: clustered.mesh,
                 frame: clustered.frame,
-                carried: Some(Carried { quadrics: clustered.quadrics, homes: clustered.homes, shades: Vec::new() }),
+                carried: Some(Carried {
+                    quadrics: clustered.quadrics,
+                    homes: clustered.homes,
+                    shades,
+                    ..Carried::default()
+                }),
+                outfit: None,
                 samples: clustered.samples,
                 source: Source::Clustered(clustered.stats),
             });
@@ -347,25 +356,6 @@ impl Run<'_> {
             locked,
             keep_reference: self.purse.keeps_reference(sampled) && target.saturating_mul(refit::LEAST_RATIO) <= faces,
         }
-    }
-
-    /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
-    fn columns(&self, format: write::Format) -> (Vec<usize>, Vec<String>) {
-        if !self.job.carry {
-            return (Vec::new(), Vec::new());
-        }
-        let columns = self.scan.columns();
-        let wanted: Vec<usize> = (0..columns.len()).filter(|c| format.holds(columns[*c].meaning)).collect();
-        let is_carried = |name: &str| wanted.iter().any(|c| columns[*c].name == name);
-        let mut lost: Vec<String> = Vec::new();
-        for attribute in self.scan.attributes() {
-            // What OBJ calls one attribute is columns here.
-            let held = if attribute.name == "colour" { !wanted.is_empty() } else { is_carried(&attribute.name) };
-            if !(held && attribute.carrier == Carrier::Vertex || lost.contains(&attribute.name)) {
-                lost.push(attribute.name);
-            }
-        }
-        (wanted, lost)
     }
 
     /// What the result's vertices carry.

@@ -14,6 +14,7 @@
 //! | collapse | 36 a face, 113 a vertex (137), and a fourteenth: about 99 a face on closed scans |
 //! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target; 4 a vertex where samples do |
 //! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
+//! | what steers | 12 a vertex of the collapse for colours; what corners carry: 12 a face, 84 a vertex and 20 a wedge more |
 //! | refit | 180 a face that is asked for, 24 a sample |
 //!
 //! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
@@ -58,6 +59,8 @@ const ROUND_BYTES: u64 = 24;
 /// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too.
 const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
 const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
+/// Scratch that no scan is too small for.
+const LEAST_SAMPLE_SCRATCH_BYTES: u64 = 64 * MIB;
 /// Where cells are coarser than the intermediate mesh that is aimed at asks for, samples make up for some of it: as many
 /// more as the square of what is missing, up to this. On a noisy scan at eight times the target they are 56 in place of 36 a
 /// face, and E_avg is 0.8 % less.
@@ -93,8 +96,10 @@ pub struct Ask {
     pub refit_rounds: u32,
     /// What the last steps of the collapse take.
     pub tail_bytes: u64,
-    /// What a vertex carries into the collapse beside its position, where the scan is collapsed as it is.
+    /// What steers, beside a vertex's position.
     pub shade_bytes: u64,
+    /// What corners and faces carry into the collapse of the scan itself, for each of its vertices.
+    pub coat_bytes: u64,
     /// What carrying over takes, beside the result.
     pub carry_bytes: u64,
 }
@@ -142,7 +147,8 @@ impl Purse {
     /// after it, takes less, or has fewer samples.
     fn near_bytes<S: Coordinate>(&self, faces: u64, vertices: u64, sampled: bool) -> u64 {
         let kept = if self.keeps_reference(sampled) { collapse::reference_bytes::<S>(faces, vertices) } else { 0 };
-        collapse::bytes::<S>(faces, vertices) + kept + if sampled { 4 * vertices } else { 0 }
+        let shades = self.ask.shade_bytes * vertices;
+        collapse::bytes::<S>(faces, vertices) + kept + shades + if sampled { 4 * vertices } else { 0 }
     }
 
     /// Whether the collapse is to keep a reference: samples of the scan make do without in the first round.
@@ -162,7 +168,7 @@ impl Purse {
             return 0;
         }
         let vertices = scan.vertex_count().min(scan.triangle_count());
-        let on_scratch = (SAMPLE_SCRATCH_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        let on_scratch = scratch_samples(SAMPLE_SCRATCH_BYTES, vertices);
         let most = (self.samples_at_once(target) as f64 / SAMPLES_MARGIN) as u64;
         let coarser = (AIM / ratio).clamp(1.0, MOST_COARSER);
         let samples = (refit::SAMPLES as f64 * coarser * coarser * target as f64) as u64;
@@ -178,7 +184,7 @@ impl Purse {
         if scan.layout() == Layout::Soup || cluster::resident_spill_bytes(vertices) <= spill_resident_bytes {
             return samples;
         }
-        let on_scratch = (SAMPLE_SCRATCH_BESIDE_BYTES * vertices as f64 / SAMPLE_BYTES as f64) as u64;
+        let on_scratch = scratch_samples(SAMPLE_SCRATCH_BESIDE_BYTES, vertices);
         samples.min(on_scratch.max((refit::LEAST_SAMPLES as u64 + 1).saturating_mul(self.ask.target)))
     }
 
@@ -196,11 +202,11 @@ impl Purse {
     pub fn in_core<S: Coordinate>(&self, scan: &Scan) -> Option<u64> {
         let faces = scan.triangle_count();
         let bytes = |faces: u64, vertices: u64| {
-            let shades = self.ask.shade_bytes * vertices;
+            let shades = self.ask.coat_bytes * vertices;
             if self.ask.target == 0 || scan.triangle_count() / 20 < self.ask.target {
                 shades + self.near_bytes::<S>(faces, vertices, false)
             } else {
-                shades + collapse::bytes::<S>(faces, vertices)
+                shades + self.ask.shade_bytes * vertices + collapse::bytes::<S>(faces, vertices)
             }
         };
         if self.carrying_bytes::<S>(scan) > self.for_arrays() {
@@ -276,15 +282,19 @@ impl Purse {
         if self.ask.carry_bytes == 0 { 0 } else { self.ask.carry_bytes.saturating_add(result) }
     }
 
+    fn in_core_shades(&self) -> u64 {
+        self.ask.shade_bytes.saturating_add(self.ask.coat_bytes)
+    }
+
     /// What loading takes, colours and all.
     fn loading_bytes(&self, scan: &Scan) -> u64 {
-        load_peak_bytes(scan).saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()))
+        load_peak_bytes(scan).saturating_add(self.in_core_shades().saturating_mul(scan.vertex_count()))
     }
 
     /// A budget in which `scan` fits as a whole, whatever it holds. A soup is taken to share no vertex.
     pub fn in_core_budget<S: Coordinate>(&self, scan: &Scan) -> u64 {
         let collapse = self.near_bytes::<S>(scan.triangle_count(), scan.vertex_count(), false);
-        let collapse = collapse.saturating_add(self.ask.shade_bytes.saturating_mul(scan.vertex_count()));
+        let collapse = collapse.saturating_add(self.ask.coat_bytes.saturating_mul(scan.vertex_count()));
         let loading = self.loading_bytes(scan);
         let most = loading.max(self.carrying_bytes::<S>(scan));
         self.least_budget(|purse| collapse <= purse.for_scan(scan) && most <= purse.for_arrays())
@@ -322,6 +332,11 @@ fn aside(bytes: u64) -> u64 {
 /// The same where no spill is looked into.
 fn aside_without_spill(bytes: u64) -> u64 {
     aside(bytes).min(streaming_bytes(8) - 8 * cluster::bytes_per_spill_worker() as u64)
+}
+
+/// Samples that scratch has room for.
+fn scratch_samples(bytes_a_vertex: f64, vertices: u64) -> u64 {
+    LEAST_SAMPLE_SCRATCH_BYTES.max((bytes_a_vertex * vertices as f64) as u64) / SAMPLE_BYTES as u64
 }
 
 /// Cells for an intermediate mesh of `ratio` times `target` faces.

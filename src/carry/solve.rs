@@ -10,7 +10,11 @@ const ONE: f64 = 4_294_967_296.0;
 
 /// Smoothing, as a share of what the average vertex's samples weigh: a neighbour's pull where samples are few, without a say
 /// where there are some.
-const SMOOTHING: f64 = 0.002;
+pub(super) const SMOOTHING: f64 = 0.002;
+
+/// The same for what should not move at all where it is an even function of the place: texture coordinates. With
+/// [`SMOOTHING`] a height field at a hundredth of its faces had them 2.4 times as far off as looking them up would be.
+pub(super) const LITTLE_SMOOTHING: f64 = 1e-4;
 
 /// What holds a piece without any sample to the average.
 const ANCHOR: f64 = 1e-6;
@@ -50,7 +54,7 @@ impl Sums {
     }
 
     /// The equations, over these faces.
-    pub fn into_system(self, faces: &[[u32; 3]]) -> System<'_> {
+    pub fn into_system(self, faces: &[[u32; 3]], smoothing: f64) -> System<'_> {
         let vertices = self.square.len();
         let mut system = System {
             faces,
@@ -63,7 +67,7 @@ impl Sums {
         };
         let all: f64 = system.square.iter().sum::<f64>() + 2.0 * system.cross.as_flattened().iter().sum::<f64>();
         let average = (all / vertices.max(1) as f64).max(1e-3);
-        (system.smoothing, system.anchor) = (SMOOTHING * average, ANCHOR * average);
+        (system.smoothing, system.anchor) = (smoothing * average, ANCHOR * average);
         system
     }
 }

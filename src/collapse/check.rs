@@ -40,7 +40,9 @@ impl<S: Coordinate> Surface<S> {
     #[inline(always)]
     pub fn allows(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> bool {
         let both_locked = options.locks() && self.locked(a) && self.locked(b);
-        !both_locked && (options.policies.topology == Topology::Simplify || self.keeps_topology(around, a, b))
+        !both_locked
+            && self.keeps_seams(around, a, b)
+            && (options.policies.topology == Topology::Simplify || self.keeps_topology(around, a, b))
     }
 
     /// The link condition: what is next to both ends is what their common faces hold, the outside of a border counted as

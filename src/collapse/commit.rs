@@ -2,6 +2,7 @@
 
 use super::Followed;
 use super::batch::{Batch, NONE};
+use super::shade::Numbers;
 use super::surface::{KEPT, Surface, TOUCHED};
 use crate::mesh::{Coordinate, widen};
 use crate::quadric::PackedQuadric;
@@ -59,15 +60,26 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
     }
     if surface.is_shaded() {
         let this = &*surface;
-        let shades: Vec<[f32; 3]> = leaders
+        let shades: Vec<Vec<(u32, Numbers)>> = leaders
             .par_iter()
             .with_min_len(256)
             .map_init(Vec::new, |members, &v| {
                 batch.members(v, members);
-                this.merged_shade(&this.stars, members, widen(batch.spots[v as usize]))
+                this.merged_shades(&this.stars, members, widen(batch.spots[v as usize]))
             })
             .collect();
-        leaders.iter().zip(shades).for_each(|(&v, shade)| surface.shades[v as usize] = shade);
+        shades.into_iter().flatten().for_each(|(i, numbers)| surface.take_shade(i, &numbers));
+    }
+    if surface.is_seamed() {
+        // Wedges belong to one vertex each, and a vertex to one pair.
+        let mut members = Vec::new();
+        for &v in leaders {
+            batch.members(v, &mut members);
+            for (of_a, of_b) in surface.wedge_pairs(&surface.stars, v, members[1]) {
+                surface.wedges.unite(of_a, of_b);
+            }
+        }
+        surface.wedges.settle();
     }
     for &v in leaders {
         surface.positions[v as usize] = batch.spots[v as usize];
@@ -99,7 +111,7 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
 
 /// Drops faces that are no more and vertices that no face uses.
 fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
-    let Surface { faces, costs, positions, learnt, current, shades, marks, pieces, .. } = surface;
+    let Surface { faces, costs, positions, learnt, current, shades, wedges, marks, pieces, .. } = surface;
     let mut kept = 0;
     for (number, mark) in numbers.iter_mut().zip(&mut *marks) {
         let used = *mark.get_mut() & USED != 0;
@@ -109,6 +121,12 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
     let numbers = &*numbers;
     let mut lives = faces.iter().map(|face| face[0] != NONE);
     costs.retain(|_| lives.next() == Some(true));
+    let mut lives = faces.iter().map(|face| face[0] != NONE);
+    wedges.corners.retain(|_| lives.next() == Some(true));
+    // Those of wedges stay where they are.
+    if wedges.is_empty() {
+        shades.keep(numbers.len(), |i| Some(numbers[i].load(Relaxed)).filter(|new| *new != NONE));
+    }
     rayon::join(
         || {
             faces.retain_mut(|face| {
@@ -122,7 +140,6 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
         || {
             keep(learnt, numbers);
             keep(current, numbers);
-            keep(shades, numbers);
             keep(positions, numbers);
             keep(&mut pieces.of, numbers);
             keep_marks(marks, numbers);

@@ -121,7 +121,7 @@ impl<S: Coordinate> Tail<'_, S> {
     /// Whether nothing folds over or is locked.
     fn face_may_go(&self, face: [u32; 3], spot: [S; 3]) -> bool {
         let surface = &*self.surface;
-        if self.options.locks() && face.iter().any(|&v| surface.locked(v)) {
+        if surface.at_seam(&face) || self.options.locks() && face.iter().any(|&v| surface.locked(v)) {
             return false;
         }
         let check = self.options.policies.fold_check;

@@ -24,7 +24,7 @@
 //! A piece of the mesh (a connected component) is not flattened for next to nothing: its last collapse costs at least what
 //! deviation would say of its loss (`pieces`).
 //!
-//! Colours, where a scan has them and fits the budget, are solved for with the place (`shade`).
+//! Attributes, where a scan has them and fits the budget, are solved for with the place (`shade`); seams are held (`seams`).
 //!
 //! **Promises.** Input as it comes: borders, non-manifold edges and vertices, coincident and zero-area faces. No face turns
 //! over unless the count cannot be reached otherwise ([`Collapsed::folded`]). The same mesh for any number of threads, since
@@ -46,6 +46,7 @@ mod penalty;
 mod pieces;
 mod place;
 mod policy;
+mod seams;
 mod shade;
 mod surface;
 mod tail;
@@ -59,7 +60,7 @@ pub use policy::{
 
 use crate::Result;
 use crate::mesh::adjacency::Stars;
-use crate::mesh::{Coordinate, IndexedMesh, Reference, widen};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use batch::{Batch, order};
@@ -67,7 +68,7 @@ use glam::DVec3;
 use pieces::Pieces;
 use rayon::prelude::*;
 use std::sync::atomic::AtomicU8;
-use surface::{REFUSED, Surface, TOUCHED};
+use surface::{LOCKED, REFUSED, SEAM, Surface, TOUCHED};
 
 /// What steers the collapse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,8 +99,11 @@ pub struct Carried {
     pub quadrics: Vec<PackedQuadric>,
     /// Vertices that somebody wants to find again, [`u32::MAX`] for none.
     pub homes: Vec<u32>,
-    /// Colours that are to steer, as lengths in the frame: what a difference of them counts against a distance.
-    pub shades: Vec<[f32; 3]>,
+    /// Attributes that are to steer, as lengths in the frame: what a difference of them counts against a distance. Of
+    /// wedges, where there are any.
+    pub shades: Shades,
+    /// What is on either side of seams.
+    pub wedges: Wedges,
 }
 
 /// The reduced mesh and what happened.
@@ -122,8 +126,12 @@ pub struct Collapsed<S> {
     pub folded: bool,
     /// Pieces that were too small and went before anything else.
     pub dropped: Dropped,
-    /// Vertices of the result that are locked.
+    /// Vertices of the result that are locked, or on seams.
     pub locked: Vec<u32>,
+    /// What became of [`Carried::wedges`].
+    pub wedges: Wedges,
+    /// Whether seams could not be held to the end.
+    pub seams_gave_way: bool,
 }
 
 /// From how many times the target on the current faces choose, and learnt quadrics advise. After a refit, 10 and 7 are no
@@ -180,8 +188,8 @@ pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
     36 * faces + (2 * position + 89) * vertices
 }
 
-/// Bytes a vertex that colours add where they steer.
-pub const SHADE_BYTES: u64 = 12;
+/// Bytes a vertex (or wedge) that each number adds that steers.
+pub const SHADE_BYTES: u64 = 4;
 
 /// Bytes that a reference of so many faces and vertices adds. One that is kept when twenty times the target or more come in
 /// adds nothing: by then the arrays of those that have gone make room.
@@ -215,13 +223,13 @@ pub fn collapse<S: Coordinate>(
     options: &Options,
     progress: &Progress,
 ) -> Result<Collapsed<S>> {
-    let Carried { quadrics, homes, mut shades } = carried.unwrap_or_default();
+    let Carried { quadrics, homes, mut shades, mut wedges } = carried.unwrap_or_default();
     let mut learnt = Some(quadrics).filter(|quadrics| !quadrics.is_empty());
     let least = options.policies.min_component;
     let dropped =
-        least.map_or(Dropped::default(), |least| pieces::drop_small(&mut mesh, &mut learnt, &mut shades, least));
+        least.map_or(Dropped::default(), |l| pieces::drop_small(&mut mesh, &mut learnt, &mut shades, &mut wedges, l));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
-    let (mut surface, irregularities) = prepare(mesh, learnt, shades, options);
+    let (mut surface, irregularities) = prepare(mesh, learnt, (shades, wedges), options);
     let mut error_sq = largest_error_sq(&surface.learnt);
     let mut rounds = Rounds::new(options, homes);
     while let Some(round_error_sq) = rounds.turn(&mut surface, progress)? {
@@ -241,21 +249,35 @@ pub fn collapse<S: Coordinate>(
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
     }
-    let locked = match options.locks() {
-        true => (0..surface.positions.len() as u32).filter(|&v| surface.locked(v)).collect(),
+    let locked = match options.locks() || surface.is_seamed() {
+        true => (0..surface.positions.len() as u32).filter(|&v| surface.mark(v) & (LOCKED | SEAM) != 0).collect(),
         false => Vec::new(),
     };
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
     let error_estimate = error_sq.sqrt();
     let Followed { reference, homes } = followed;
-    Ok(Collapsed { mesh, error_estimate, irregularities, reference, homes, rounds: count, folded, dropped, locked })
+    let (wedges, seams_gave_way) = (surface.wedges, surface.seams_give_way);
+    let rounds = count;
+    Ok(Collapsed {
+        mesh,
+        error_estimate,
+        irregularities,
+        reference,
+        homes,
+        rounds,
+        folded,
+        dropped,
+        locked,
+        wedges,
+        seams_gave_way,
+    })
 }
 
 /// Lays out the arrays, classifies, and learns the faces' quadrics where none are carried.
 fn prepare<S: Coordinate>(
     mesh: IndexedMesh<S>,
     learnt: Option<Vec<PackedQuadric>>,
-    shades: Vec<[f32; 3]>,
+    (shades, wedges): (Shades, Wedges),
     options: &Options,
 ) -> (Surface<S>, Irregularities) {
     let n = mesh.positions.len();
@@ -268,12 +290,15 @@ fn prepare<S: Coordinate>(
         learnt: learnt.unwrap_or_default(),
         current: Vec::new(),
         shades,
+        wedges,
+        seams_give_way: false,
         pieces: Pieces::default(),
         marks: (0..n).map(|_| AtomicU8::new(0)).collect(),
         stars,
     };
     let irregularities = classify::classify(&surface);
     surface.mark_held(options);
+    surface.mark_seams();
     surface.find_pieces();
     if surface.learnt.is_empty() {
         surface.learn(options);
@@ -334,7 +359,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         }
         let within = |factor: usize| before / factor <= self.options.target;
         let last = self.paired || within(LAST_FACTOR);
-        let near = last || self.options.policies.by_pairs() || self.options.locks();
+        let near = last || self.options.policies.by_pairs() || self.options.locks() || surface.is_seamed();
         let most = (before - self.floor).div_ceil(2);
         if self.options.keep_reference && self.followed.reference.is_none() && (last || within(REFERENCE_FACTOR)) {
             self.followed.reference = Some(surface.reference());

@@ -8,7 +8,7 @@
 
 use super::batch::NONE;
 use super::policy::Least;
-use crate::mesh::{Coordinate, Extent, IndexedMesh, widen};
+use crate::mesh::{Coordinate, Extent, IndexedMesh, Shades, Wedges, widen};
 use crate::quadric::PackedQuadric;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -174,7 +174,8 @@ pub struct Dropped {
 pub(super) fn drop_small<S: Coordinate>(
     mesh: &mut IndexedMesh<S>,
     learnt: &mut Option<Vec<PackedQuadric>>,
-    shades: &mut Vec<[f32; 3]>,
+    shades: &mut Shades,
+    wedges: &mut Wedges,
     least: Least,
 ) -> Dropped {
     let of = roots(mesh);
@@ -192,6 +193,8 @@ pub(super) fn drop_small<S: Coordinate>(
     let roots_of_small: FxHashSet<u32> = mesh.faces.iter().filter(|f| is_small(f)).map(|f| of[f[0] as usize]).collect();
     let pieces = roots_of_small.len();
     let before = mesh.faces.len();
+    let mut go = mesh.faces.iter().map(is_small);
+    wedges.corners.retain(|_| go.next() == Some(false));
     mesh.faces.retain(|face| !is_small(face));
     let numbers = small.iter().scan(0, |kept, small| {
         *kept += u32::from(!small);
@@ -203,8 +206,8 @@ pub(super) fn drop_small<S: Coordinate>(
     if let Some(learnt) = learnt {
         keep(learnt, &small);
     }
-    if !shades.is_empty() {
-        keep(shades, &small);
+    if wedges.is_empty() {
+        shades.keep(small.len(), |i| (!small[i]).then(|| numbers[i]));
     }
     Dropped { pieces: pieces as u64, faces: (before - mesh.faces.len()) as u64 }
 }
@@ -386,7 +389,7 @@ mod tests {
             mesh.faces.extend(big.faces.iter().map(|f| f.map(|v| v + 4)));
             mesh.faces.push([4, 5, 6]);
             mesh.positions.extend(&big.positions);
-            let dropped = drop_small(&mut mesh, &mut None, &mut Vec::new(), least);
+            let dropped = drop_small(&mut mesh, &mut None, &mut Shades::default(), &mut Wedges::default(), least);
             assert_eq!((dropped.pieces, dropped.faces), (1 - pieces, 4 - 4 * pieces), "{least:?}");
             assert_eq!((mesh.faces.len() as u64, mesh.positions.len() as u64), (5 + 4 * pieces, 4 + 4 * pieces));
             assert!(mesh.faces.iter().flatten().all(|&v| u64::from(v) < 4 + 4 * pieces));

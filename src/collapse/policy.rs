@@ -29,6 +29,8 @@ pub struct Policies {
     pub valence_penalty: f64,
     /// How much colours steer against shape; 0 for not at all. Who makes the shades applies it.
     pub colour_weight: f64,
+    /// The same of texture coordinates.
+    pub texture_weight: f64,
     /// Whether holes may close, handles vanish, pieces go.
     pub topology: Topology,
     /// How close two vertices without an edge must be to merge all the same; `None` where only edges collapse.
@@ -51,6 +53,7 @@ impl Default for Policies {
             compactness: 0.0,
             valence_penalty: 0.0,
             colour_weight: 1.0,
+            texture_weight: 1.0,
             topology: Topology::default(),
             pair_distance: None,
             primitive: Primitive::default(),

@@ -4,7 +4,7 @@ use super::pieces::Pieces;
 use super::policy::{FoldCheck, Placement, Quadrics, Weighting};
 use super::{LEARNT_WEIGHT, Options};
 use crate::mesh::adjacency::{Stars, after, before, parts};
-use crate::mesh::{Coordinate, IndexedMesh, Reference, narrow, step, widen};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, narrow, step, widen};
 use crate::quadric::{PackedQuadric, Quadric};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -26,8 +26,12 @@ pub(super) struct Surface<S> {
     /// `A` of the faces that now meet at each vertex, about its position (so `b` and `c` are zero). Empty far
     /// from the target.
     pub current: Vec<[f32; 6]>,
-    /// Colours as lengths, where they steer; else empty.
-    pub shades: Vec<[f32; 3]>,
+    /// Attributes as lengths, where they steer; else empty.
+    pub shades: Shades,
+    /// What corners are on either side of seams, where there are seams; else empty.
+    pub wedges: Wedges,
+    /// The count cannot be reached while seams are held.
+    pub seams_give_way: bool,
     pub marks: Vec<AtomicU8>,
     pub pieces: Pieces,
     pub stars: Stars,
@@ -41,8 +45,10 @@ pub(super) const TOUCHED: u8 = 2;
 pub(super) const LOCKED: u8 = 8;
 /// The vertex was on a feature edge.
 pub(super) const FEATURE: u8 = 16;
+/// The vertex is on a seam.
+pub(super) const SEAM: u8 = 32;
 /// Marks that a merged vertex has from those it stands for.
-pub(super) const KEPT: u8 = ODD | LOCKED | FEATURE;
+pub(super) const KEPT: u8 = ODD | LOCKED | FEATURE | SEAM;
 
 /// Where corners of a vertex are looked up: the round's stars, or the tail's.
 pub(super) trait Around {
@@ -119,10 +125,10 @@ impl<S: Coordinate> Surface<S> {
         let learnt = self.learnt_form(a, b, half);
         let shaded = |q: Quadric| if self.is_shaded() { q + self.shade_form(around, a, b) } else { q };
         let mut candidate = match policies.quadrics {
-            Quadrics::Accumulated => self.place(a, b, &shaded(learnt), half, options),
+            Quadrics::Accumulated => self.place(around, a, b, &shaded(learnt), half, options),
             Quadrics::Current => {
                 let q = shaded(self.current_form(around, a, b, half, options));
-                let mut candidate = self.place(a, b, &q, half, options);
+                let mut candidate = self.place(around, a, b, &q, half, options);
                 candidate.cost += LEARNT_WEIGHT * learnt.value(candidate.step);
                 candidate
             }
@@ -135,7 +141,10 @@ impl<S: Coordinate> Surface<S> {
 
     /// The best place for the vertex that `a` and `b` become: where a locked one is.
     #[inline(always)]
-    fn place(&self, a: u32, b: u32, q: &Quadric, half: DVec3, options: &Options) -> Candidate {
+    fn place(&self, around: &impl Around, a: u32, b: u32, q: &Quadric, half: DVec3, options: &Options) -> Candidate {
+        if self.at_seam(&[a, b]) {
+            return self.seam_candidate(around, a, b, q, half);
+        }
         if options.locks() && (self.locked(a) || self.locked(b)) {
             let step = if self.locked(a) { -half } else { half };
             let both = self.locked(a) && self.locked(b);
@@ -182,6 +191,9 @@ impl<S: Coordinate> Surface<S> {
         if let Some(features) = options.policies.features {
             subtract(&mut q, &self.feature(around, a, b, features).unwrap_or_default());
         }
+        if self.holds_seams() {
+            subtract(&mut q, &self.seam_line(around, a, b, options).unwrap_or_default());
+        }
         q
     }
 
@@ -201,6 +213,9 @@ impl<S: Coordinate> Surface<S> {
         }
         if let Some(features) = options.policies.features {
             q += self.features_at(around, v, features);
+        }
+        if self.holds_seams() {
+            q += self.seams_at(around, v, options);
         }
         if self.odd(v) { q + self.borders_at(around, v, options) } else { q }
     }
@@ -229,7 +244,7 @@ impl<S: Coordinate> Surface<S> {
     /// Learns the planes of the faces and the borders. Each face's plane is worked out once, as the vector whose product
     /// with itself is its quadric.
     pub fn learn(&mut self, options: &Options) {
-        if options.policies.weighting != Weighting::Area || options.policies.features.is_some() {
+        if options.policies.weighting != Weighting::Area || options.policies.features.is_some() || self.holds_seams() {
             let this = &*self;
             let form = |v: u32| this.form_around(&this.stars, v, options).pack();
             self.learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(form).collect();
@@ -367,6 +382,9 @@ impl<S: Coordinate> Surface<S> {
 
     /// Where a merged vertex goes, as it will be stored: at an end exactly where that is the policy.
     pub fn spot(&self, a: u32, b: u32, step: DVec3, options: &Options) -> [S; 3] {
+        if let Some(spot) = self.at_seam(&[a, b]).then(|| self.seam_spot(a, b)).flatten() {
+            return spot;
+        }
         if options.locks() && (self.locked(a) || self.locked(b)) {
             return self.positions[if self.locked(a) { a } else { b } as usize];
         }

@@ -45,6 +45,8 @@ enum Need {
     /// Nothing yet: no face folds over, and no edge of three and more faces takes the count further than one below the
     /// target, which is as far as those of manifolds go.
     None,
+    /// Seams are no longer held.
+    Seams,
     /// A few faces may fold over, and the count may end two below.
     Fold,
     /// The count may end anywhere below: many copies of one face go together.
@@ -76,7 +78,11 @@ pub(super) fn finish<S: Coordinate>(
         folded |= need >= Need::Fold && advanced;
         need = match need {
             _ if advanced => Need::None,
-            Need::None => Need::Fold,
+            Need::None if tail.surface.holds_seams() => {
+                tail.surface.seams_give_way = true;
+                Need::Seams
+            }
+            Need::None | Need::Seams => Need::Fold,
             Need::Fold => Need::Overshoot,
             Need::Overshoot => break,
         };
@@ -84,6 +90,7 @@ pub(super) fn finish<S: Coordinate>(
     let error_sq = tail.error_sq;
     let mut becomes = std::mem::take(&mut tail.becomes);
     let numbers = compact(surface);
+    surface.wedges.settle();
     for homes in followed.lists() {
         for home in homes.iter_mut().filter(|home| **home != NONE) {
             while becomes[*home as usize] != *home {
@@ -152,7 +159,7 @@ impl<S: Coordinate> Tail<'_, S> {
 
     /// Collapses from the heap until it is empty or the count is reached; under need, only a few times.
     fn drain(&mut self, need: Need, progress: &Progress) -> Result<()> {
-        let most = if need == Need::None { usize::MAX } else { 1 + (self.left - self.options.target) / 32 };
+        let most = if need <= Need::Seams { usize::MAX } else { 1 + (self.left - self.options.target) / 32 };
         let mut done = 0;
         let mut turns = 0u32;
         while self.left > self.options.target {
@@ -170,7 +177,7 @@ impl<S: Coordinate> Tail<'_, S> {
                 self.heap.push(now);
                 continue;
             }
-            let below = [1, 2, usize::MAX][need as usize];
+            let below = [1, 1, 2, usize::MAX][need as usize];
             if shared > 2 && (self.left + below.min(shared)) < self.options.target + shared {
                 continue;
             }
@@ -204,7 +211,11 @@ impl<S: Coordinate> Tail<'_, S> {
     pub fn merge(&mut self, a: u32, b: u32, spot: [S; 3]) {
         let v = a as usize;
         if self.surface.is_shaded() {
-            self.surface.shades[v] = self.surface.merged_shade(&self.overlay, &[a, b], widen(spot));
+            let merged = self.surface.merged_shades(&self.overlay, &[a, b], widen(spot));
+            merged.iter().for_each(|(i, numbers)| self.surface.take_shade(*i, numbers));
+        }
+        if self.surface.is_seamed() {
+            self.unite_wedges(a, b);
         }
         self.surface.learnt[v] = self.surface.merged(&[a, b], widen(spot)).pack();
         self.surface.positions[v] = spot;
@@ -214,6 +225,19 @@ impl<S: Coordinate> Tail<'_, S> {
         self.surface.pieces.join(a, b);
         self.joins.merge(a, b);
         self.rewire(a, b);
+    }
+
+    /// Wedges of `b` become `a`'s on the faces that both have.
+    fn unite_wedges(&mut self, a: u32, b: u32) {
+        let pairs = self.surface.wedge_pairs(&self.overlay, a, b);
+        let wedges = &mut self.surface.wedges;
+        for (of_a, of_b) in pairs {
+            wedges.unite(of_a, of_b);
+        }
+        for &corner in self.overlay.of(a).iter().chain(self.overlay.of(b)) {
+            let (f, side) = parts(corner);
+            wedges.corners[f][side] = wedges.root(wedges.corners[f][side]);
+        }
     }
 
     /// Faces of `b` become `a`'s; faces of both go.
@@ -278,6 +302,8 @@ impl<S: Coordinate> Tail<'_, S> {
 
 /// Drops what the tail has removed. Returns the vertices' new numbers.
 fn compact<S: Coordinate>(surface: &mut Surface<S>) -> Vec<u32> {
+    let mut lives = surface.faces.iter().map(|f| f[0] != NONE);
+    surface.wedges.corners.retain(|_| lives.next() == Some(true));
     surface.faces.retain(|f| f[0] != NONE);
     let mut numbers = vec![NONE; surface.positions.len()];
     for &v in surface.faces.iter().flatten() {

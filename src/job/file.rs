@@ -144,6 +144,9 @@ pub struct CollapseTable {
     /// How much colours steer.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub colour_weight: Option<Weight>,
+    /// How much texture coordinates steer.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub texture_weight: Option<Weight>,
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
@@ -201,6 +204,7 @@ const KEYS: [(&str, &[&str]); 7] = [
             "compactness",
             "valence_penalty",
             "colour_weight",
+            "texture_weight",
             "topology",
             "pair_distance",
             "primitive",
@@ -274,7 +278,7 @@ layered!(RefitTable: rounds);
 layered!(ReportTable: json, verify, samples);
 layered!(CollapseTable: quadrics, placement, weighting, boundary_weight, lock_border, lock_vertices, feature_angle,
     feature_weight, min_component, fold_check, compactness, valence_penalty, topology, pair_distance,
-    primitive, colour_weight);
+    primitive, colour_weight, texture_weight);
 
 /// What was likely meant by an unknown word, from the parser's message: the wrong word in backticks, then the right ones.
 fn hint(message: &str) -> Option<String> {

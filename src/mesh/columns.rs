@@ -84,6 +84,8 @@ pub enum Meaning {
     Colour(usize),
     /// A coordinate of the normal.
     Normal(usize),
+    /// A coordinate of the texture, the second one upwards.
+    Texture(usize),
     /// Anything else.
     Other,
 }

@@ -3,6 +3,7 @@
 pub mod adjacency;
 pub mod audit;
 pub mod boxes;
+pub mod coat;
 pub mod columns;
 mod frame;
 mod indexed;
@@ -10,6 +11,7 @@ mod reference;
 pub mod samples;
 pub mod tree;
 pub mod triangle;
+mod wedges;
 mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
@@ -17,5 +19,6 @@ pub use indexed::{IndexedMesh, narrow, step, widen};
 pub use reference::Reference;
 pub use samples::{SampleFile, SurfaceSamples};
 pub use tree::{Nearest, Tree};
+pub use wedges::{Shades, Wedges};
 pub(crate) use weld::{BATCH, PositionTable};
 pub use weld::{WeldReport, weld};

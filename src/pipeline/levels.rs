@@ -4,12 +4,13 @@
 //! refitted to is the finer mesh where that is [`FINE_ENOUGH`]; else one of those before it, whose vertices are followed
 //! through the collapses between.
 
+use super::coat::Outfit;
 use super::{Clock, Run, mesh_file};
-use crate::collapse::{Collapsed, collapse};
+use crate::collapse::{Carried, Collapsed, collapse};
 use crate::error::Result;
 use crate::job::Level;
-use crate::mesh::{Coordinate, Frame, IndexedMesh, Reference};
-use crate::refit::{Aim, refit};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, Reference, Wedges};
+use crate::refit::{Aim, Held, refit};
 use crate::report::{LevelReport, Timeline, Warning};
 use crate::write;
 use glam::DVec3;
@@ -24,6 +25,10 @@ pub(super) struct Chain<'a, S> {
     pub(super) error: f64,
     /// Points whose vertices stay, in the frame.
     pub(super) locked: &'a [DVec3],
+    /// Its seams.
+    pub(super) wedges: Wedges,
+    /// What the scan wears.
+    pub(super) outfit: Option<&'a Outfit<S>>,
 }
 
 /// Faces of a reference for each of the result's, from which on a finer one gains nothing: it lies closer to the scan than
@@ -46,11 +51,15 @@ impl Run<'_> {
             if S::DOUBLE && out.loses_doubles() {
                 warnings.push(Warning::StlLosesDoubles { vertices: chain.mesh.positions.len() as u64 });
             }
-            let output = mesh_file(&level.output, chain.mesh.faces.len(), chain.mesh.positions.len());
-            let (wanted, _) = self.columns(out.format());
+            let (wanted, _) = self.columns(out.format(), chain.outfit);
             let carried = self.carried(&wanted, &chain.mesh, chain.frame)?;
+            let dressed = self.dressed(chain.outfit, &chain.mesh, &chain.wedges, out.format())?;
             seconds.carry += clock.lap();
-            out.write_carrying(&chain.mesh, chain.frame, &carried, self.progress)?;
+            let clothes = dressed.as_ref().map(|d| d.clothes());
+            let vertices = chain.mesh.positions.len();
+            let vertices = dressed.as_ref().map_or(vertices, |d| d.vertices(out.format(), vertices));
+            let output = mesh_file(&level.output, chain.mesh.faces.len(), vertices);
+            out.write_carrying(&chain.mesh, chain.frame, &carried, clothes, self.progress)?;
             seconds.write += clock.lap();
             let error_estimate = Some(chain.frame.to_file(chain.error));
             reports.push(LevelReport { output, error_estimate, deviation: None });
@@ -65,7 +74,7 @@ impl Run<'_> {
         clock: &mut Clock,
         seconds: &mut Timeline,
     ) -> Result<Chain<'a, S>> {
-        let Chain { mesh, frame, mut references, error, locked: points } = chain;
+        let Chain { mesh, frame, mut references, error, locked: points, wedges, outfit } = chain;
         let asked = level.target.faces(self.scan.triangle_count());
         let (faces, vertices) = (mesh.faces.len(), mesh.positions.len());
         let refits = self.job.refit_rounds > 0;
@@ -73,8 +82,9 @@ impl Run<'_> {
         options.keep_reference = refits && (options.keep_reference || !references.is_empty());
         // Pieces that are too small have gone.
         options.policies.min_component = None;
-        let Collapsed { mut mesh, error_estimate, reference, locked, .. } =
-            collapse(mesh, None, &options, self.progress)?;
+        let carried = (!wedges.is_empty()).then(|| Carried { wedges, ..Carried::default() });
+        let Collapsed { mut mesh, error_estimate, reference, locked, mut wedges, .. } =
+            collapse(mesh, carried, &options, self.progress)?;
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse += clock.lap();
         match reference {
@@ -89,10 +99,11 @@ impl Run<'_> {
         let enough = |reference: &&Reference<S>| reference.mesh.faces.len() >= FINE_ENOUGH * mesh.faces.len();
         if let Some(reference) = references.iter().rev().find(enough).or(references.first()) {
             let aim = Aim { reference: Some(reference), samples: None };
-            refit(&mut mesh, &aim, self.job.refit_rounds, &locked, self.progress)?;
+            let held = Held { locked: &locked, wedges: &mut wedges };
+            refit(&mut mesh, &aim, self.job.refit_rounds, held, self.progress)?;
         }
         seconds.refit += clock.lap();
-        Ok(Chain { mesh, frame, references, error: error + error_estimate, locked: points })
+        Ok(Chain { mesh, frame, references, error: error + error_estimate, locked: points, wedges, outfit })
     }
 }
 

@@ -8,6 +8,7 @@
 //! Memory: the document without embedded buffers, up to 8 MiB of text, while the file is opened.
 
 use super::attribute::Attribute;
+use super::gltf_coat::Extras;
 use super::gltf_json;
 use super::gltf_scene::Builder;
 use super::map::{Input, WINDOW_BYTES, Window};
@@ -63,6 +64,7 @@ pub(super) enum Kind {
 #[derive(Debug)]
 pub(super) struct Cloud {
     pub numbers: Numbers,
+    pub extras: Extras,
     pub transform: Option<DAffine3>,
     pub first: u64,
 }
@@ -110,7 +112,7 @@ impl Gltf {
         builder.finish(is_binary, parts.trailing)
     }
 
-    fn input<'a>(&'a self, input: &'a Input, numbers: &Numbers) -> &'a Input {
+    pub(super) fn input<'a>(&'a self, input: &'a Input, numbers: &Numbers) -> &'a Input {
         numbers.source.checked_sub(1).and_then(|i| self.others.get(i)).unwrap_or(input)
     }
 
@@ -322,9 +324,17 @@ impl Numbers {
     }
 
     /// Elements `first..first + n`, each of so many numbers. The last is not followed by what is between it and the next.
-    fn window(&self, source: &Input, first: u64, n: u64, numbers: usize) -> Result<Window> {
+    pub(super) fn window(&self, source: &Input, first: u64, n: u64, numbers: usize) -> Result<Window> {
         let bytes = (n as usize - 1) * self.stride + numbers * self.kind.bytes();
         source.window(self.offset + first * self.stride as u64, bytes)
+    }
+
+    /// Elements of so many numbers each.
+    pub(super) fn each<const N: usize>(&self, bytes: &[u8], mut take: impl FnMut([f64; N])) {
+        let size = self.kind.bytes();
+        for record in bytes.chunks(self.stride).filter(|record| record.len() >= N * size) {
+            take(std::array::from_fn(|i| self.kind.number(&record[i * size..], self.normalised)));
+        }
     }
 
     fn first(&self, source: &Input) -> Result<u32> {
@@ -343,7 +353,7 @@ impl Numbers {
 }
 
 impl Cloud {
-    fn decode(&self, records: &[u8], out: &mut Vec<[f64; 3]>) {
+    pub(super) fn decode(&self, records: &[u8], out: &mut Vec<[f64; 3]>) {
         let Numbers { stride, kind, normalised, .. } = self.numbers;
         let size = kind.bytes();
         if (kind, stride) == (Kind::F32, 12) {

@@ -4,6 +4,7 @@
 
 use super::attribute::{Attribute, Carrier};
 use super::gltf::{Cloud, Gltf, Kind, Numbers, Patch, Shape};
+use super::gltf_coat::Extras;
 use super::gltf_json::{Accessor, Document, Node, Place, Primitive, View};
 use super::map::Input;
 use super::ply_header::shown;
@@ -123,11 +124,12 @@ impl<'a> Builder<'a> {
             };
             let Some(&positions) = primitive.attributes.get("POSITION") else { continue };
             self.check_primitive(mesh, primitive)?;
-            let cloud = match clouds.get(&positions) {
+            let extras = ["TEXCOORD_0", "NORMAL", "COLOR_0"].map(|name| primitive.attributes.get(name).copied());
+            let cloud = match clouds.get(&(positions, extras)) {
                 Some(cloud) => *cloud,
                 None => {
-                    let cloud = self.cloud(positions, transform)?;
-                    clouds.insert(positions, cloud);
+                    let cloud = self.cloud(positions, extras, transform)?;
+                    clouds.insert((positions, extras), cloud);
                     cloud
                 }
             };
@@ -146,19 +148,31 @@ impl<'a> Builder<'a> {
         }
     }
 
-    fn cloud(&mut self, accessor: usize, transform: DAffine3) -> Result<usize> {
+    fn cloud(&mut self, accessor: usize, extras: [Option<usize>; 3], transform: DAffine3) -> Result<usize> {
         let numbers = self.numbers(accessor, "VEC3", 3)?;
         if numbers.kind == Kind::U32 {
             return self.wrong("accessor", accessor, "holds positions in unsigned int, which glTF does not have");
         }
         let is_moved = transform != DAffine3::IDENTITY;
         self.fits_f32 &= !is_moved || !is_far(&self.document.accessors[accessor], &transform);
-        self.clouds.push(Cloud { numbers, transform: is_moved.then_some(transform), first: self.vertices });
+        let [texture, normal, colour] = extras;
+        let extras = Extras {
+            texture: self.extra(texture, &[("VEC2", 2)], numbers.count),
+            normal: self.extra(normal, &[("VEC3", 3)], numbers.count),
+            colour: self.extra(colour, &[("VEC3", 3), ("VEC4", 4)], numbers.count),
+        };
+        self.clouds.push(Cloud { numbers, extras, transform: is_moved.then_some(transform), first: self.vertices });
         self.vertices = self.vertices.saturating_add(numbers.count);
         if self.vertices > 1 << 32 {
             return Err(Error::input(self.input.path(), "has more than 4294967296 vertices, too many to index"));
         }
         Ok(self.clouds.len() - 1)
+    }
+
+    /// Numbers that vertices carry, if all of them have some. What is wrong with them is no reason to refuse a shape.
+    fn extra(&mut self, accessor: Option<usize>, shapes: &[(&str, u64)], count: u64) -> Option<Numbers> {
+        let found = shapes.iter().find_map(|(shape, width)| self.numbers(accessor?, shape, *width).ok());
+        found.filter(|numbers| numbers.count == count && numbers.kind != Kind::U32)
     }
 
     fn patch(&mut self, cloud: usize, shape: Shape, indices: Option<usize>, transform: DAffine3) -> Result<()> {

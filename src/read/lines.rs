@@ -230,6 +230,29 @@ impl<D: Dialect> Text<D> {
         Ok(())
     }
 
+    /// Goes through all lines that are neither blank nor comments, in order. An error names the line.
+    pub fn in_order(
+        &self,
+        input: &Input,
+        progress: &Progress,
+        mut each: impl for<'a> FnMut(&'a [u8]) -> Result<(), Wrong<'a>>,
+    ) -> Result<()> {
+        let mut ordinal = 0;
+        for block in &self.blocks {
+            progress.check()?;
+            let window = input.window(block.offset, block.bytes)?;
+            for line in lines(&window, self.ending) {
+                let line = line.trim_ascii_start();
+                if !line.is_empty() && line[0] != b'#' {
+                    each(line).map_err(|w| error(input, "line", ordinal, &window, block.offset, w))?;
+                    ordinal += 1;
+                }
+            }
+            progress.add(block.bytes as u64);
+        }
+        Ok(())
+    }
+
     fn pump<L: Send>(
         &self,
         input: &Input,

@@ -15,30 +15,35 @@ mod attribute;
 mod cursor;
 mod floor;
 mod gltf;
+mod gltf_coat;
 mod gltf_json;
 mod gltf_scene;
 mod lines;
 mod load;
 mod map;
 mod obj;
+mod obj_corners;
 mod off;
 mod ply;
 mod ply_binary;
+mod ply_corners;
 mod ply_header;
 mod ply_records;
 mod sample;
 mod spool;
 mod stl;
 mod stl_ascii;
+mod stl_corners;
 mod stream;
 
 pub use attribute::{Attribute, Carrier};
-pub use load::{LoadReport, load, load_peak_bytes};
+pub use load::{LoadReport, Loaded, load, load_peak_bytes};
 pub use sample::Sample;
 pub use spool::{Compression, STDIN};
 pub use stream::Crew;
 
 use crate::error::{Error, Item, Result};
+use crate::mesh::coat::{Coat, Corners};
 use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use crate::scratch::Scratch;
@@ -219,7 +224,8 @@ impl Scan {
         let columns = match &body {
             Body::Ply(ply) => ply.columns(),
             Body::Obj(text) => text.dialect.columns(),
-            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) | Body::Gltf(_) => Vec::new(),
+            Body::Gltf(gltf) => gltf.columns(),
+            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) => Vec::new(),
         };
         Ok(Scan { input, compression, body, columns })
     }
@@ -271,6 +277,7 @@ impl Scan {
     pub fn attributes(&self) -> Vec<Attribute> {
         match &self.body {
             Body::Ply(ply) => ply.attributes(),
+            Body::Stl(_) if self.has_coat() => vec![Attribute::of(Carrier::Face, stl_corners::NAME, "ushort")],
             Body::Stl(_) => Vec::new(),
             Body::Obj(text) => text.dialect.attributes(),
             Body::Off(text) => text.dialect.carried.attributes(),
@@ -404,9 +411,52 @@ impl Scan {
         match &self.body {
             Body::Ply(ply) => ply.carried(&self.input, crew, &step)?,
             Body::Obj(text) => text.carried((self.columns.len(), 255.0), &self.input, crew, &step)?,
+            Body::Gltf(gltf) => gltf.carried(&self.input, crew, &step)?,
             _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
         }
         Ok(slots.into_inner())
+    }
+
+    /// What corners and faces carry, if they carry anything that is read.
+    pub fn coat(&self, progress: &Progress) -> Result<Option<Coat>> {
+        match &self.body {
+            Body::Obj(text) if self.has_coat() => obj_corners::coat(text, &self.input, progress).map(Some),
+            Body::Ply(ply) if self.has_coat() => ply.coat(&self.input, progress).map(Some),
+            Body::Stl(stl) if self.has_coat() => stl.coat(&self.input, progress).map(Some),
+            Body::Gltf(gltf) if self.has_coat() => gltf.coat(&self.input, progress).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// Whether corners or faces carry anything that is read.
+    pub fn has_coat(&self) -> bool {
+        match &self.body {
+            Body::Obj(text) => text.dialect.is_coated(),
+            Body::Ply(ply) => ply.is_coated(),
+            Body::Stl(stl) => stl.is_coated(&self.input),
+            Body::Gltf(gltf) => gltf.is_coated(),
+            Body::Off(_) | Body::OffBinary(..) => false,
+        }
+    }
+
+    /// Values of a coat that its corners and faces refer to, at most: texture coordinates, normals.
+    pub fn coat_values(&self) -> u64 {
+        match &self.body {
+            Body::Obj(text) => text.dialect.coat_values(),
+            Body::Ply(ply) => ply.coat_values(),
+            _ => 0,
+        }
+    }
+
+    /// All triangles in the order of the file, with what their corners carry.
+    pub fn corners(&self, coat: &Coat, progress: &Progress, step: &mut (dyn FnMut(Corners) + Send)) -> Result<()> {
+        match &self.body {
+            Body::Obj(text) => obj_corners::corners(text, coat, &self.input, progress, step),
+            Body::Ply(ply) => ply.corners(coat, &self.input, progress, step),
+            Body::Stl(stl) => stl.corners(coat, &self.input, progress, step),
+            Body::Gltf(gltf) => gltf.corners(coat, &self.input, progress, step),
+            _ => Ok(()),
+        }
     }
 
     /// Streams the triangles of an indexed scan.

@@ -21,8 +21,14 @@ pub(super) type ObjText = Text<Obj>;
 pub(super) struct Obj {
     uvs: AtomicU64,
     normals: AtomicU64,
+    /// Lines that say what faces are made of.
+    materials: AtomicU64,
+    /// Lines that say what groups and objects faces belong to.
+    names: AtomicU64,
     /// Numbers of the first vertex.
     numbers: AtomicU64,
+    /// All of these are known.
+    counted: bool,
 }
 
 /// Words that lines of an OBJ file begin with.
@@ -52,7 +58,8 @@ pub(super) fn is_obj(head: &[u8], whole: bool, named: bool) -> bool {
 pub(super) fn open(input: &Input, progress: &Progress) -> Result<ObjText> {
     let mut mark = [0; 3];
     let marked = input.len() >= 3 && input.read_at(&mut mark, 0).is_ok() && &mark == b"\xef\xbb\xbf";
-    let text = Text::open(input, progress, Obj::default(), if marked { 3 } else { 0 })?;
+    let mut text = Text::open(input, progress, Obj::default(), if marked { 3 } else { 0 })?;
+    text.dialect.counted = true;
     let refuse = |what| Err(Error::input(input.path(), what));
     match (text.total.vertices, text.total.faces, text.total.triangles) {
         (0, ..) => refuse("has no vertex: no line begins with `v`"),
@@ -72,7 +79,24 @@ impl Obj {
         ["red", "green", "blue"].map(column).to_vec()
     }
 
-    /// What vertices and corners carry.
+    /// Whether there is anything that corners or faces carry.
+    pub fn is_coated(&self) -> bool {
+        self.coat_values() + self.materials.load(Relaxed) > 0 || self.names.load(Relaxed) > 1
+    }
+
+    #[inline]
+    fn count_one(&self, lines: &AtomicU64) {
+        if !self.counted {
+            lines.fetch_add(1, Relaxed);
+        }
+    }
+
+    /// Lines with values of corners.
+    pub fn coat_values(&self) -> u64 {
+        self.uvs.load(Relaxed) + self.normals.load(Relaxed)
+    }
+
+    /// What vertices, corners and faces carry.
     pub fn attributes(&self) -> Vec<Attribute> {
         let mut found = Vec::new();
         if self.numbers.load(Relaxed) >= 6 {
@@ -83,6 +107,12 @@ impl Obj {
         }
         if self.uvs.load(Relaxed) > 0 {
             found.push(Attribute::of(Carrier::Corner, "vt", "2 numbers"));
+        }
+        // One name for all faces tells none of them apart.
+        for (lines, name, least) in [(&self.materials, "usemtl", 1), (&self.names, "g", 2)] {
+            if lines.load(Relaxed) >= least {
+                found.push(Attribute::of(Carrier::Face, name, "name"));
+            }
         }
         found
     }
@@ -100,11 +130,19 @@ impl Dialect for Obj {
             }
             [b'f', b' ' | b'\t', rest @ ..] | [b'f', b'o', b' ' | b'\t', rest @ ..] => Line::Face(rest),
             [b'v', b't', b' ' | b'\t', ..] => {
-                self.uvs.store(1, Relaxed);
+                self.count_one(&self.uvs);
                 Line::Other
             }
             [b'v', b'n', b' ' | b'\t', ..] => {
-                self.normals.store(1, Relaxed);
+                self.count_one(&self.normals);
+                Line::Other
+            }
+            [b'u', b's', b'e', b'm', b't', b'l', ..] => {
+                self.count_one(&self.materials);
+                Line::Other
+            }
+            [b'g' | b'o', b' ' | b'\t', ..] => {
+                self.count_one(&self.names);
                 Line::Other
             }
             _ => Line::Other,

@@ -34,10 +34,10 @@ const ROWS: usize = CHUNK / 8;
 #[derive(Debug)]
 pub(super) struct Ply {
     pub encoding: Encoding,
-    vertex: Element,
-    face: Element,
-    vertex_offset: u64,
-    face_offset: u64,
+    pub vertex: Element,
+    pub face: Element,
+    pub vertex_offset: u64,
+    pub face_offset: u64,
     /// Where all vertex records have one length.
     pub vertex_run: Option<(Run, VertexRecord)>,
     /// Where all faces are triangles.

@@ -15,6 +15,9 @@ use rustc_hash::FxHashMap;
 /// The most numbers of a vertex that are carried.
 pub(super) const MOST_COLUMNS: usize = 13;
 
+/// Names of texture coordinates, two by two.
+const TEXTURE: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "tx", "ty"];
+
 /// The longest header that is read.
 const HEADER_BYTES: u64 = 1 << 20;
 
@@ -83,7 +86,6 @@ impl Element {
     /// The numbers that are carried, and which of the properties they are: as many as there is room for, by names that can be
     /// written again. Texture coordinates are none: a texture has seams, over which they must not be averaged.
     pub fn columns(&self) -> Vec<(usize, Column)> {
-        const TEXTURE: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "tx", "ty"];
         let mut found: Vec<(usize, Column)> = Vec::new();
         for (i, property) in self.properties.iter().enumerate() {
             let name = property.name.as_str();
@@ -99,6 +101,27 @@ impl Element {
             }
         }
         found
+    }
+
+    /// The properties that are texture coordinates of vertices.
+    pub fn texture(&self) -> Option<[usize; 2]> {
+        let find = |name: &str| {
+            let is = |p: &Property| p.name == name && matches!(p.shape, Shape::Scalar(_)) && p.role == Role::Other;
+            self.properties.iter().position(is)
+        };
+        (TEXTURE.as_chunks::<2>().0.iter()).find_map(|[s, t]| Some([find(s)?, find(t)?]))
+    }
+
+    /// The list of texture coordinates that faces have for their corners.
+    pub fn corner_texture(&self) -> Option<usize> {
+        let is = |p: &Property| p.name == "texcoord" && matches!(p.shape, Shape::List { .. });
+        self.properties.iter().position(is)
+    }
+
+    /// Whole numbers that faces carry: labels, colours.
+    pub fn labels(&self) -> Vec<(usize, Column)> {
+        let whole = |p: &Property| matches!(p.shape, Shape::Scalar(kind) if kind.is_integer());
+        self.columns().into_iter().filter(|(i, _)| whole(&self.properties[*i])).collect()
     }
 
     /// Where in a binary record without lists a property begins.

@@ -12,6 +12,9 @@ use std::path::Path;
 /// The most corners of a polygon: far beyond what any tool writes, and a bound on what one record makes us hold.
 pub(super) const MAX_CORNERS: u64 = 65_536;
 
+/// What becomes of a face: its corners, its numbers, the numbers of a list that it has.
+pub(super) type LabelledStep<'a> = dyn FnMut(&[u32], &[f64], &[f64]) + 'a;
+
 /// A position, and what is carried with it.
 pub(super) type Row = [f64; 3 + MOST_COLUMNS];
 
@@ -198,6 +201,51 @@ impl<'a, V: Values<'a>> Records<'a, V> {
             }
         }
         Ok(self.values.at() - from)
+    }
+
+    /// Goes through all faces with numbers of theirs: corners, the numbers of these properties, those of a list.
+    pub fn labelled(mut self, wanted: &[usize], list: Option<usize>, each: &mut LabelledStep<'_>) -> Result<()> {
+        let (mut labels, mut values) = (Vec::new(), Vec::new());
+        while self.pass_empty_lists()? {
+            let begin = self.values.at();
+            let read = self.labelled_face(wanted, list, &mut labels, &mut values);
+            read.map_err(|fault| self.error(begin, fault))?;
+            self.ordinal += 1;
+            each(&self.corners, &labels, &values);
+        }
+        Ok(())
+    }
+
+    fn labelled_face(
+        &mut self,
+        wanted: &[usize],
+        list: Option<usize>,
+        labels: &mut Vec<f64>,
+        values: &mut Vec<f64>,
+    ) -> Result<(), Fault> {
+        self.corners.clear();
+        labels.clear();
+        values.clear();
+        for (i, property) in self.element.properties.iter().enumerate() {
+            match property.shape {
+                Shape::Scalar(kind) if wanted.contains(&i) => labels.push(self.values.number(kind)?),
+                Shape::Scalar(kind) => self.values.skip(kind, 1)?,
+                Shape::List { count, item } => {
+                    let n = list_length(&mut self.values, count)?;
+                    if property.role == Role::Corners {
+                        let n = check_corners(n, self.values.at())? as usize;
+                        self.values.indices(item, n, self.vertices, &mut self.corners)?;
+                    } else if list == Some(i) && n <= 2 * MAX_CORNERS {
+                        for _ in 0..n {
+                            values.push(self.values.number(item)?);
+                        }
+                    } else {
+                        self.values.skip(item, n)?;
+                    }
+                }
+            }
+        }
+        Ok(())
     }
 
     fn face(&mut self) -> Result<(), Fault> {

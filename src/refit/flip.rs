@@ -4,7 +4,7 @@
 use super::ground::{Ground, nearest_to_origin};
 use super::samples::{Evidence, Samples};
 use crate::mesh::adjacency::{after, before, parts};
-use crate::mesh::{Coordinate, step};
+use crate::mesh::{Coordinate, IndexedMesh, Wedges, step};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -39,6 +39,7 @@ pub(super) fn flip<S: Coordinate>(
     ground: Ground<S>,
     evidence: &impl Evidence<S>,
     samples: &Samples,
+    wedges: &Wedges,
     wanted: Wanted,
 ) -> Vec<(u32, [u32; 3])> {
     let faces = ground.mesh.faces.len();
@@ -51,6 +52,7 @@ pub(super) fn flip<S: Coordinate>(
             let turned = &turned;
             (0..3).filter_map(move |side| candidate(ground, evidence, samples, turned, wanted, [f, side]))
         })
+        .filter(|flip| wedges.is_empty() || !is_seam(ground.mesh, wedges, flip))
         .collect();
     flips.sort_unstable_by(|a, b| b.mends.cmp(&a.mends).then(b.gain.total_cmp(&a.gain)).then(a.faces.cmp(&b.faces)));
     let mut taken = vec![false; if flips.is_empty() { 0 } else { ground.mesh.positions.len() }];
@@ -64,6 +66,29 @@ pub(super) fn flip<S: Coordinate>(
         changed.extend([(f, [u, b, a]), (g, [b, v, a])]);
     }
     changed
+}
+
+/// Whether the faces of an edge see different things at it.
+fn is_seam<S>(mesh: &IndexedMesh<S>, wedges: &Wedges, flip: &Flip) -> bool {
+    let [f, g] = flip.faces;
+    [flip.quad[0], flip.quad[2]].iter().any(|&v| wedge(mesh, wedges, f, v) != wedge(mesh, wedges, g, v))
+}
+
+fn wedge<S>(mesh: &IndexedMesh<S>, wedges: &Wedges, f: u32, v: u32) -> Option<u32> {
+    let side = mesh.faces[f as usize].iter().position(|u| *u == v)?;
+    Some(wedges.corners[f as usize][side])
+}
+
+/// Gives corners of flipped faces the wedges that their vertices have there. `mesh` is as it was.
+pub(super) fn move_wedges<S>(flips: &[(u32, [u32; 3])], mesh: &IndexedMesh<S>, wedges: &mut Wedges) {
+    if wedges.is_empty() {
+        return;
+    }
+    for pair in flips.chunks(2) {
+        let at = |v: u32| pair.iter().find_map(|&(f, _)| wedge(mesh, wedges, f, v)).unwrap_or(0);
+        let now: Vec<_> = pair.iter().map(|(f, face)| (*f, face.map(at))).collect();
+        now.into_iter().for_each(|(f, corners)| wedges.corners[f as usize] = corners);
+    }
 }
 
 /// The flip of the edge that leaves `side` of face `f`, if it pays.

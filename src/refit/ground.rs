@@ -25,6 +25,9 @@ pub(super) struct Place {
 /// Most faces that one search steps to. Searches that begin near need two or three.
 const LONGEST_WALK: usize = 64;
 
+/// Differences of distances below this share of a face's side are rounding.
+const ROUNDING: f32 = 4e-6;
+
 impl<S: Coordinate> Ground<'_, S> {
     /// Twice the area times the unit normal of a face.
     #[inline(always)]
@@ -97,11 +100,24 @@ impl<S: Coordinate> Ground<'_, S> {
         self.improve(best, point, normal, faces.filter(|&f| self.mesh.faces[f as usize].contains(&v)));
     }
 
+    /// Whether a place is nearer than another by more than rounding. What is nearest to an edge is as near to both its
+    /// faces: the last bit must not choose between them, or a scan moved to where doubles round otherwise would be refitted
+    /// otherwise.
+    #[inline(always)]
+    fn is_nearer(&self, place: Place, best: Place) -> bool {
+        place.distance_sq < best.distance_sq && {
+            let [a, b, c] = self.mesh.faces[best.face as usize].map(|v| self.mesh.positions[v as usize]);
+            let long = step(a, b).abs().max(step(a, c).abs()).max_element();
+            let distance = best.distance_sq.sqrt() - ROUNDING * long;
+            distance > 0.0 && place.distance_sq < distance * distance
+        }
+    }
+
     #[inline(always)]
     fn improve(&self, best: &mut Option<Place>, point: [S; 3], normal: Vec3, faces: impl Iterator<Item = u32>) {
         for face in faces {
             let place = self.on_face(point, face);
-            if best.is_none_or(|b| place.distance_sq < b.distance_sq) && self.normal(face).dot(normal) > 0.0 {
+            if best.is_none_or(|b| self.is_nearer(place, b)) && self.normal(face).dot(normal) > 0.0 {
                 *best = Some(place);
             }
         }

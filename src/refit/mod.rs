@@ -27,7 +27,7 @@ mod turned;
 use crate::Result;
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::samples::SAMPLE_BYTES;
-use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, step, widen};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, Wedges, narrow, step, widen};
 use crate::progress::{Progress, Stage};
 use flip::Wanted;
 use glam::Vec3;
@@ -79,12 +79,21 @@ pub struct Aim<'a, S> {
     pub samples: Option<&'a SurfaceSamples>,
 }
 
-/// Refits `mesh` to `aim` in so many rounds. Vertices that are `locked` stay where they are.
+/// What a refit leaves as it is.
+#[derive(Debug)]
+pub struct Held<'a> {
+    /// Vertices that stay where they are.
+    pub locked: &'a [u32],
+    /// Seams, whose edges do not flip; where others do, corners keep their wedges.
+    pub wedges: &'a mut Wedges,
+}
+
+/// Refits `mesh` to `aim` in so many rounds.
 pub fn refit<S: Coordinate>(
     mesh: &mut IndexedMesh<S>,
     aim: &Aim<S>,
     rounds: u32,
-    locked: &[u32],
+    held: Held,
     progress: &Progress,
 ) -> Result<()> {
     let faces = mesh.faces.len();
@@ -94,10 +103,10 @@ pub fn refit<S: Coordinate>(
     let enough = |samples: &&SurfaceSamples| samples.samples.len() >= LEAST_SAMPLES * faces;
     if let Some(samples) = aim.samples.filter(enough) {
         let scanned = Scanned::new(samples, mesh.positions.len(), aim.reference);
-        return fit(mesh, &scanned, aim.reference, rounds, locked, progress);
+        return fit(mesh, &scanned, aim.reference, rounds, held, progress);
     }
     match aim.reference.filter(|reference| reference.mesh.faces.len() >= LEAST_RATIO * faces) {
-        Some(reference) => fit(mesh, reference, Some(reference), rounds, locked, progress),
+        Some(reference) => fit(mesh, reference, Some(reference), rounds, held, progress),
         None => Ok(()),
     }
 }
@@ -108,9 +117,10 @@ fn fit<S: Coordinate>(
     evidence: &impl Evidence<S>,
     reference: Option<&Reference<S>>,
     rounds: u32,
-    locked: &[u32],
+    held: Held,
     progress: &Progress,
 ) -> Result<()> {
+    let Held { locked, wedges } = held;
     let mut stars = Stars::default();
     stars.rebuild(&mesh.faces, mesh.positions.len());
     let mut fixed = irregular(mesh, &stars);
@@ -126,7 +136,7 @@ fn fit<S: Coordinate>(
         progress.check()?;
         samples.assign(Ground { mesh, stars: &stars }, evidence);
         if round > 0 {
-            flip(mesh, &mut stars, evidence, &samples, Wanted::All);
+            flip(mesh, &mut stars, evidence, &samples, wedges, Wanted::All);
             samples.assign(Ground { mesh, stars: &stars }, evidence);
         }
         let back = fine_mesh.filter(|_| round > 0).map(|mesh| Ground { mesh, stars: &fine });
@@ -136,7 +146,7 @@ fn fit<S: Coordinate>(
         take(mesh, &stars, steps);
         progress.add(1);
     }
-    flip(mesh, &mut stars, evidence, &samples, Wanted::Turned);
+    flip(mesh, &mut stars, evidence, &samples, wedges, Wanted::Turned);
     Ok(())
 }
 
@@ -146,12 +156,14 @@ fn flip<S: Coordinate>(
     stars: &mut Stars,
     evidence: &impl Evidence<S>,
     samples: &Samples,
+    wedges: &mut Wedges,
     wanted: Wanted,
 ) {
-    let flips = flip::flip(Ground { mesh, stars }, evidence, samples, wanted);
+    let flips = flip::flip(Ground { mesh, stars }, evidence, samples, wedges, wanted);
     if flips.is_empty() {
         return;
     }
+    flip::move_wedges(&flips, mesh, wedges);
     for (f, face) in flips {
         mesh.faces[f as usize] = face;
     }

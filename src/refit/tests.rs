@@ -4,6 +4,10 @@ use super::ground::nearest_to_origin;
 use super::*;
 use glam::DVec3;
 
+fn free(wedges: &mut Wedges) -> Held<'_> {
+    Held { locked: &[], wedges }
+}
+
 /// A patch of `2·side²` faces over the unit square, `height` above it.
 fn patch(side: u32, height: impl Fn(f64, f64) -> f64) -> IndexedMesh<f32> {
     let mut mesh = IndexedMesh::default();
@@ -60,7 +64,7 @@ fn deviation(a: &IndexedMesh<f32>, b: &IndexedMesh<f32>) -> f64 {
 fn refitted(coarse: &IndexedMesh<f32>, reference: &Reference<f32>, rounds: u32) -> IndexedMesh<f32> {
     let mut mesh = coarse.clone();
     let aim = Aim { reference: Some(reference), samples: None };
-    refit(&mut mesh, &aim, rounds, &[], &Progress::default()).unwrap();
+    refit(&mut mesh, &aim, rounds, free(&mut Wedges::default()), &Progress::default()).unwrap();
     mesh
 }
 
@@ -148,7 +152,7 @@ fn a_plane_and_a_mesh_that_is_hardly_reduced_stay_as_they_are() {
     let (_, reference) = pair(hills);
     let mut same = reference.mesh.clone();
     let aim = Aim { reference: Some(&reference), samples: None };
-    refit(&mut same, &aim, 2, &[], &Progress::default()).unwrap();
+    refit(&mut same, &aim, 2, free(&mut Wedges::default()), &Progress::default()).unwrap();
     assert_eq!(same, reference.mesh);
 }
 

@@ -85,6 +85,8 @@ pub enum Warning {
         /// Intermediate : target.
         ratio: f64,
     },
+    /// Seams could not be held down to the count: some of their vertices merged with others.
+    SeamsGaveWay,
     /// No picture could be taken.
     NoPicture {
         /// Why.
@@ -110,6 +112,7 @@ impl Warning {
             Warning::LowRatio { .. } => "low-ratio",
             Warning::SmallPieces { .. } => "small-pieces",
             Warning::NotCarried { .. } => "not-carried",
+            Warning::SeamsGaveWay => "seams-gave-way",
             Warning::NoPicture { .. } => "no-picture",
         }
     }
@@ -118,6 +121,9 @@ impl Warning {
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
+            Warning::SeamsGaveWay => f.write_str(
+                "seams of textures, normals or materials could not all be held at so few faces: ask for more",
+            ),
             Warning::NotCarried { ref names } => {
                 let (shown, more) = (&names[..names.len().min(8)], names.len().saturating_sub(8));
                 let more = if more > 0 { format!(" and {more} more") } else { String::new() };

@@ -1,7 +1,8 @@
 //! Bytes of every format: headers, and records of binary PLY and STL; `text` and `glb` have the others.
 
-use super::{Format, Sink, glb, text};
+use super::{Clothes, Format, Sink, glb, text};
 use crate::error::{Error, Result};
+use crate::mesh::coat::{Coat, Dress};
 use crate::mesh::columns::{Column, Columns};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use glam::DVec3;
@@ -28,16 +29,38 @@ pub(crate) struct Contents<'a, S> {
     pub frame: Frame,
     /// What vertices carry: of no columns, or for every vertex.
     pub carried: &'a Columns,
+    /// What corners and faces carry, if they do.
+    pub clothes: Option<Clothes<'a>>,
+    /// What an OBJ is to call its library.
+    pub library: Option<&'a str>,
+}
+
+impl<'a, S> Contents<'a, S> {
+    /// What says which numbers faces have, if they have any.
+    pub(super) fn labels(&self) -> Option<(&'a Dress, &'a Coat)> {
+        self.clothes.map(|c| (c.dress, c.coat)).filter(|(_, coat)| !coat.face_columns.is_empty())
+    }
+
+    /// The same where the number is one that fits an STL's two bytes.
+    fn spare(&self) -> Option<(&'a Dress, &'a Coat)> {
+        self.labels().filter(|(_, coat)| coat.is_spare())
+    }
+}
+
+/// The two bytes of a patch.
+fn spare_bytes(coat: &Coat, patch: u32) -> [u8; 2] {
+    let bits = coat.patches[patch as usize].labels.first().copied().unwrap_or(0);
+    (f64::from_bits(bits) as u16).to_le_bytes()
 }
 
 impl Header {
     /// The header's bytes; refuses counts that the format cannot hold.
     pub(crate) fn bytes(&self, path: &Path) -> Result<Vec<u8>> {
-        self.bytes_with(path, &[])
+        self.bytes_with(path, &[], &[])
     }
 
     /// The same where vertices carry numbers.
-    pub(super) fn bytes_with(&self, path: &Path, carried: &[Column]) -> Result<Vec<u8>> {
+    pub(super) fn bytes_with(&self, path: &Path, carried: &[Column], of_faces: &[Column]) -> Result<Vec<u8>> {
         let largest = u64::from(u32::MAX);
         let (what, count, remedy) = match self.format {
             Format::Ply | Format::PlyAscii => ("vertices", self.vertices, ""),
@@ -50,23 +73,26 @@ impl Header {
             return Err(Error::usage(what));
         }
         Ok(match self.format {
-            Format::Ply | Format::PlyAscii => self.ply(carried).into_bytes(),
+            Format::Ply | Format::PlyAscii => self.ply(carried, of_faces).into_bytes(),
             Format::Stl => self.stl(count as u32),
             Format::Obj => format!("# meshmill {}\n", env!("CARGO_PKG_VERSION")).into_bytes(),
             Format::Glb | Format::GlbQuantised => Vec::new(),
         })
     }
 
-    fn ply(&self, carried: &[Column]) -> String {
+    fn ply(&self, carried: &[Column], of_faces: &[Column]) -> String {
         let scalar = if self.double { "double" } else { "float" };
         // Readers that know `int` alone are many; `uint` only where it must be.
         let index = if self.vertices > 1 << 31 { "uint" } else { "int" };
-        let carried: String = carried.iter().map(|c| format!("property {} {}\n", c.number.word(), c.name)).collect();
+        let list = |columns: &[Column]| -> String {
+            columns.iter().map(|c| format!("property {} {}\n", c.number.word(), c.name)).collect()
+        };
+        let (carried, of_faces) = (list(carried), list(of_faces));
         let encoding = if self.format == Format::PlyAscii { "ascii" } else { "binary_little_endian" };
         format!(
             "ply\nformat {encoding} 1.0\ncomment meshmill {}\n\
              element vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n{carried}\
-             element face {}\nproperty list uchar {index} vertex_indices\nend_header\n",
+             element face {}\nproperty list uchar {index} vertex_indices\n{of_faces}end_header\n",
             env!("CARGO_PKG_VERSION"),
             self.vertices,
             self.faces
@@ -142,17 +168,18 @@ pub(crate) fn encode<S: Coordinate, W: Write>(
     path: &Path,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    sink.put(&header.bytes_with(path, &contents.carried.columns)?)?;
+    let of_faces = contents.labels().map_or(&[][..], |(_, coat)| &coat.face_columns);
+    sink.put(&header.bytes_with(path, &contents.carried.columns, of_faces)?)?;
     match header.format {
         Format::Ply => ply(contents, sink),
-        Format::Stl => stl(contents.mesh, contents.frame, path, sink),
+        Format::Stl => stl(contents, path, sink),
         Format::PlyAscii | Format::Obj => text::elements(contents, header.format, sink),
         Format::Glb | Format::GlbQuantised => glb::encode(contents, header.format, path, sink),
     }
 }
 
 fn ply<S: Coordinate, W: Write>(contents: &Contents<'_, S>, sink: &mut Sink<'_, W>) -> Result<()> {
-    let Contents { mesh, frame, carried } = *contents;
+    let Contents { mesh, frame, carried, .. } = *contents;
     let back = |x: S| frame.to_file(x.widen());
     if !carried.columns.is_empty() {
         let mut record = Vec::with_capacity(24 + 8 * carried.columns.len());
@@ -172,16 +199,21 @@ fn ply<S: Coordinate, W: Write>(contents: &Contents<'_, S>, sink: &mut Sink<'_, 
     } else {
         sink.put_each(&mesh.positions, |p| Ok(ply_vertex(p.map(|x| back(x) as f32))))?;
     }
-    sink.put_each(&mesh.faces, |&face| Ok(ply_face(face)))
+    let Some((dress, coat)) = contents.labels() else { return sink.put_each(&mesh.faces, |&face| Ok(ply_face(face))) };
+    let mut record = Vec::with_capacity(64);
+    for (face, patch) in mesh.faces.iter().zip(&dress.patches) {
+        record.clear();
+        record.extend(ply_face(*face));
+        let labels = &coat.patches[*patch as usize].labels;
+        coat.face_columns.iter().zip(labels).for_each(|(c, bits)| c.number.put(f64::from_bits(*bits), &mut record));
+        sink.put(&record)?;
+    }
+    Ok(())
 }
 
-fn stl<S: Coordinate, W: Write>(
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
-    path: &Path,
-    sink: &mut Sink<'_, W>,
-) -> Result<()> {
-    sink.put_each(&mesh.faces, |face| {
+fn stl<S: Coordinate, W: Write>(contents: &Contents<'_, S>, path: &Path, sink: &mut Sink<'_, W>) -> Result<()> {
+    let Contents { mesh, frame, .. } = *contents;
+    let facet = |face: &[u32; 3]| {
         // Normals come from the frame, where no product of coordinates leaves the range of doubles.
         let [a, b, c] = face.map(|v| mesh.at(v));
         let corners = [a, b, c].map(|p| p.to_array().map(|x| frame.to_file(x) as f32));
@@ -190,7 +222,14 @@ fn stl<S: Coordinate, W: Write>(
             return Err(Error::Unmet { file: path.into(), what });
         }
         Ok(stl_facet((b - a).cross(c - a), corners))
-    })
+    };
+    let Some((dress, coat)) = contents.spare() else { return sink.put_each(&mesh.faces, facet) };
+    for (face, patch) in mesh.faces.iter().zip(&dress.patches) {
+        let mut record = facet(face)?;
+        record[48..].copy_from_slice(&spare_bytes(coat, *patch));
+        sink.put(&record)?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -211,7 +250,7 @@ mod tests {
         let header =
             Header { format, double: S::DOUBLE, vertices: mesh.positions.len() as u64, faces: mesh.faces.len() as u64 };
         let mut sink = Sink::new(&mut out, Path::new("x"), &progress);
-        let contents = Contents { mesh, frame, carried: &Columns::default() };
+        let contents = Contents { mesh, frame, carried: &Columns::default(), clothes: None, library: None };
         encode(&contents, &header, Path::new("x"), &mut sink)?;
         sink.finish()?;
         assert_eq!(out.len() as u64, header.bytes(Path::new("x"))?.len() as u64 + header.element_bytes());

@@ -2,10 +2,11 @@
 //!
 //! Positions are floats, or 16-bit steps over the extent of each axis (`KHR_mesh_quantization`). What floats cannot hold of
 //! a scan in doubles, its distance from the origin, is in the node's translation, so that what is lost is less than the
-//! 16-millionth part of the mesh's own size. Axes are as the scan has them, though glTF takes y for up.
+//! 16-millionth part of the mesh's own size. Faces of one material are a primitive; textures in PNG and JPEG are within
+//! the file. Axes are as the scan has them, though glTF takes y for up.
 
 use super::encode::Contents;
-use super::{Format, Sink};
+use super::{Clothes, Format, Sink};
 use crate::error::{Error, Result};
 use crate::mesh::columns::{Columns, Meaning};
 use crate::mesh::{Coordinate, Extent, widen};
@@ -85,7 +86,7 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     path: &Path,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    let Contents { mesh, frame, carried } = *contents;
+    let Contents { mesh, frame, carried, clothes, .. } = *contents;
     let at = |p: [S; 3]| widen(p).map(|x| frame.to_file(x));
     let mut extent = Extent::default();
     mesh.positions.iter().for_each(|p| extent.include(at(*p)));
@@ -108,16 +109,19 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     let index_bytes = faces as u64 * if short { 6 } else { 12 };
     let index_room = index_bytes.next_multiple_of(4);
     let shades = Shades::of(carried, mapping.quantised);
+    let parts = Parts::of(mesh.faces.len(), clothes);
     let mut attributes = json!({ "POSITION": 0 });
-    let mut accessors = vec![
-        json!({
-            "bufferView": 0, "componentType": if mapping.quantised { 5123 } else { 5126 }, "type": "VEC3",
-            "count": vertices, "min": least.map(f64::from), "max": most.map(f64::from),
-        }),
-        json!({
-            "bufferView": 1, "componentType": if short { 5123 } else { 5125 }, "type": "SCALAR", "count": 3 * faces,
-        }),
-    ];
+    let mut accessors = vec![json!({
+        "bufferView": 0, "componentType": if mapping.quantised { 5123 } else { 5126 }, "type": "VEC3",
+        "count": vertices, "min": least.map(f64::from), "max": most.map(f64::from),
+    })];
+    let index_size = if short { 2 } else { 4 };
+    for (_, first, count) in &parts.runs {
+        accessors.push(json!({
+            "bufferView": 1, "byteOffset": 3 * index_size * first, "componentType": if short { 5123 } else { 5125 },
+            "type": "SCALAR", "count": 3 * count,
+        }));
+    }
     let mut views = vec![
         view(0, position_bytes, 34962, mapping.quantised.then_some(8)),
         view(position_bytes, index_bytes, 34963, None),
@@ -139,12 +143,36 @@ pub(super) fn encode<S: Coordinate, W: Write>(
         views.push(view(end, 12 * vertices as u64, 34962, None));
         end += 12 * vertices as u64;
     }
+    if shades.texture.is_some() {
+        attributes["TEXCOORD_0"] = json!(accessors.len());
+        accessors.push(json!({
+            "bufferView": views.len(), "componentType": 5126, "type": "VEC2", "count": vertices,
+        }));
+        views.push(view(end, 8 * vertices as u64, 34962, None));
+        end += 8 * vertices as u64;
+    }
+    let images = parts.images(clothes, shades.texture.is_some())?;
+    let mut image_views = Vec::new();
+    for (_, _, bytes) in &images {
+        image_views.push(views.len());
+        views.push(json!({ "buffer": 0, "byteOffset": end, "byteLength": bytes.len() }));
+        end += (bytes.len() as u64).next_multiple_of(4);
+    }
+    let primitives: Vec<Value> = (parts.runs.iter().enumerate())
+        .map(|(i, (material, ..))| {
+            let mut primitive = json!({ "attributes": attributes, "indices": 1 + i, "mode": 4 });
+            if let Some(material) = material {
+                primitive["material"] = json!(material);
+            }
+            primitive
+        })
+        .collect();
     let mut document = json!({
         "asset": { "version": "2.0", "generator": format!("meshmill {}", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
         "nodes": [mapping.node()],
-        "meshes": [{ "primitives": [{ "attributes": attributes, "indices": 1, "mode": 4 }] }],
+        "meshes": [{ "primitives": primitives }],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{ "byteLength": end }],
@@ -153,6 +181,7 @@ pub(super) fn encode<S: Coordinate, W: Write>(
         document["extensionsUsed"] = json!(["KHR_mesh_quantization"]);
         document["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
     }
+    materials(&mut document, clothes, &images, &image_views);
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let payload = end;
@@ -171,16 +200,90 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     } else {
         sink.put_each(&mesh.positions, |p| Ok(super::ply_vertex(mapping.stored(at(*p)))))?;
     }
+    let sorted: Vec<[u32; 3]> = parts.order.iter().map(|f| mesh.faces[*f as usize]).collect();
+    let sorted = if parts.order.is_empty() { &mesh.faces } else { &sorted };
     if short {
-        sink.put_each(&mesh.faces, |face| {
+        sink.put_each(sorted, |face| {
             let [a, b, c] = face.map(|v| (v as u16).to_le_bytes());
             Ok([a[0], a[1], b[0], b[1], c[0], c[1]])
         })?;
     } else {
-        sink.put_each(&mesh.faces, |face| Ok(bytemuck::cast::<_, [u8; 12]>(face.map(u32::to_le_bytes))))?;
+        sink.put_each(sorted, |face| Ok(bytemuck::cast::<_, [u8; 12]>(face.map(u32::to_le_bytes))))?;
     }
     sink.put(&[0; 4][..(index_room - index_bytes) as usize])?;
-    shades.put(carried, vertices, sink)
+    shades.put(carried, vertices, sink)?;
+    for (_, _, bytes) in &images {
+        sink.put(bytes)?;
+        sink.put(&[0; 4][..bytes.len().next_multiple_of(4) - bytes.len()])?;
+    }
+    Ok(())
+}
+
+/// Faces of one material together.
+struct Parts {
+    /// The faces in that order; empty where there is one part.
+    order: Vec<u32>,
+    /// Material, first face, and how many.
+    runs: Vec<(Option<u32>, usize, usize)>,
+}
+
+/// The number of a texture, its type and its bytes.
+type Image = (usize, &'static str, Vec<u8>);
+
+impl Parts {
+    fn of(faces: usize, clothes: Option<Clothes<'_>>) -> Parts {
+        let Some(Clothes { dress, coat, .. }) = clothes.filter(|c| !c.coat.materials.is_empty()) else {
+            return Parts { order: Vec::new(), runs: vec![(None, 0, faces)] };
+        };
+        let material = |f: u32| coat.patches[dress.patches[f as usize] as usize].material;
+        let mut order: Vec<u32> = (0..faces as u32).collect();
+        order.sort_by_key(|f| material(*f));
+        let mut runs: Vec<(Option<u32>, usize, usize)> = Vec::new();
+        for (i, f) in order.iter().enumerate() {
+            match runs.last_mut().filter(|run| run.0 == material(*f)) {
+                Some(run) => run.2 += 1,
+                None => runs.push((material(*f), i, 1)),
+            }
+        }
+        Parts { order, runs }
+    }
+
+    /// The textures that materials in use have, where vertices have coordinates for them.
+    fn images(&self, clothes: Option<Clothes<'_>>, textured: bool) -> Result<Vec<Image>> {
+        let mut images: Vec<Image> = Vec::new();
+        let Some(Clothes { wardrobe, .. }) = clothes.filter(|_| textured) else { return Ok(images) };
+        for material in self.runs.iter().filter_map(|run| wardrobe.materials.get(run.0? as usize)) {
+            let Some(at) = material.texture.filter(|at| images.iter().all(|image| image.0 != *at)) else { continue };
+            if let Some(mime) = wardrobe.textures[at].mime() {
+                images.push((at, mime, wardrobe.textures[at].bytes()?));
+            }
+        }
+        Ok(images)
+    }
+}
+
+/// What the document says of materials and textures.
+fn materials(document: &mut Value, clothes: Option<Clothes<'_>>, images: &[Image], views: &[usize]) {
+    let Some(Clothes { wardrobe, .. }) = clothes.filter(|c| !c.wardrobe.materials.is_empty()) else { return };
+    let material = |material: &super::Material| {
+        let [r, g, b] = material.colour.map(linear);
+        let mut pbr = json!({ "baseColorFactor": [r, g, b, material.alpha], "metallicFactor": 0.0 });
+        if let Some(texture) = images.iter().position(|image| Some(image.0) == material.texture) {
+            pbr["baseColorTexture"] = json!({ "index": texture });
+        }
+        let mut found = json!({ "name": material.name, "pbrMetallicRoughness": pbr, "doubleSided": true });
+        if material.alpha < 1.0 {
+            found["alphaMode"] = json!("BLEND");
+        }
+        found
+    };
+    document["materials"] = wardrobe.materials.iter().map(material).collect();
+    if !images.is_empty() {
+        let image = |((_, mime, _), view): (&Image, &usize)| json!({ "bufferView": view, "mimeType": mime });
+        document["images"] = images.iter().zip(views).map(image).collect();
+        document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497 }]);
+        document["textures"] = (0..images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
+    }
 }
 
 /// The columns that glTF has a place for.
@@ -188,6 +291,7 @@ struct Shades {
     colour: Option<[usize; 3]>,
     alpha: Option<usize>,
     normal: Option<[usize; 3]>,
+    texture: Option<[usize; 2]>,
 }
 
 impl Shades {
@@ -195,7 +299,7 @@ impl Shades {
         // A node that stretches its axes differently would bend normals.
         let normal = if quantised { None } else { carried.find(Meaning::Normal) };
         let alpha = carried.find::<1>(|_| Meaning::Colour(3)).map(|[at]| at);
-        Shades { colour: carried.find(Meaning::Colour), alpha, normal }
+        Shades { colour: carried.find(Meaning::Colour), alpha, normal, texture: carried.find(Meaning::Texture) }
     }
 
     fn put<W: Write>(&self, carried: &Columns, vertices: usize, sink: &mut Sink<'_, W>) -> Result<()> {
@@ -214,6 +318,12 @@ impl Shades {
             record.clear();
             self.normal.into_iter().flatten().for_each(|c| record.extend((carried.of(v)[c] as f32).to_le_bytes()));
             sink.put(&record)?;
+        }
+        for (v, [s, t]) in (0..vertices).flat_map(|v| self.texture.map(|at| (v, at))) {
+            record.clear();
+            // Pictures begin at the top here, at the bottom there.
+            let [s, t] = [carried.of(v)[s], 1.0 - carried.of(v)[t]].map(|x| (x as f32).to_le_bytes());
+            sink.put(&[s, t].concat())?;
         }
         Ok(())
     }

@@ -8,6 +8,7 @@
 //! Does not promise: what a `kill -9` leaves behind is a hidden file beside the target, until the next run into the same
 //! folder sweeps it.
 
+mod clothes;
 mod encode;
 mod glb;
 mod shaded;
@@ -15,12 +16,14 @@ mod sink;
 mod target;
 mod text;
 
+pub use clothes::{Clothes, Material, Texture, Wardrobe};
 pub(crate) use encode::{Header, ply_face, ply_vertex, stl_facet};
 pub use shaded::Shading;
 pub(crate) use sink::Sink;
 pub use target::{Target, WholeFile, is_stdout, sweep};
 
 use crate::error::{Error, Result};
+use crate::mesh::coat::Coat;
 use crate::mesh::columns::Meaning;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -73,9 +76,33 @@ impl Format {
             Format::Ply | Format::PlyAscii => true,
             Format::Obj => matches!(meaning, Meaning::Colour(0..3)),
             Format::Glb => meaning != Meaning::Other,
-            Format::GlbQuantised => matches!(meaning, Meaning::Colour(_)),
+            Format::GlbQuantised => matches!(meaning, Meaning::Colour(_) | Meaning::Texture(_)),
             Format::Stl => false,
         }
+    }
+
+    /// Whether it has a place for a column of those that corners carry.
+    pub fn holds_at_corners(self, meaning: Meaning) -> bool {
+        self == Format::Obj && matches!(meaning, Meaning::Texture(_) | Meaning::Normal(_)) || self.holds(meaning)
+    }
+
+    /// Whether it says what faces are made of.
+    pub fn holds_materials(self) -> bool {
+        matches!(self, Format::Obj | Format::Glb | Format::GlbQuantised)
+    }
+
+    /// Whether it has a place for these numbers of faces.
+    pub fn holds_labels(self, coat: &Coat) -> bool {
+        match self {
+            Format::Ply | Format::PlyAscii => true,
+            Format::Stl => coat.is_spare(),
+            Format::Obj | Format::Glb | Format::GlbQuantised => false,
+        }
+    }
+
+    /// Whether it says what groups faces are in.
+    pub fn holds_groups(self) -> bool {
+        self == Format::Obj
     }
 }
 

@@ -1,7 +1,8 @@
 //! The target of a run: checked before the work, replaced after it, in one step.
 
+use super::clothes::split;
 use super::encode::{Contents, Header, encode};
-use super::{Format, Sink};
+use super::{Clothes, Format, Sink};
 use crate::error::{Error, Result};
 use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
@@ -82,17 +83,29 @@ impl Target {
 
     /// Writes `mesh` in the file's units and puts it in the target's place; the number of bytes.
     pub fn write_mesh<S: Coordinate>(self, mesh: &IndexedMesh<S>, frame: Frame, progress: &Progress) -> Result<u64> {
-        self.write_carrying(mesh, frame, &Columns::default(), progress)
+        self.write_carrying(mesh, frame, &Columns::default(), None, progress)
     }
 
-    /// The same with what its vertices carry, as far as the format holds it.
+    /// The same with what its vertices carry, and what it wears, as far as the format holds it.
     pub fn write_carrying<S: Coordinate>(
         self,
         mesh: &IndexedMesh<S>,
         frame: Frame,
         carried: &Columns,
+        clothes: Option<(Clothes<'_>, &Path)>,
         progress: &Progress,
     ) -> Result<u64> {
+        let mut library = None;
+        let apart;
+        let (mut mesh, mut carried) = (mesh, carried);
+        if let Some((Clothes { dress, coat, wardrobe }, scan)) = clothes {
+            if self.format == Format::Obj {
+                library = wardrobe.lay_out(&self.whole.path, scan, coat, progress)?;
+            } else if dress.splits(self.format == Format::Stl) {
+                apart = split(mesh, carried, dress);
+                (mesh, carried) = (&apart.0, &apart.1);
+            }
+        }
         let header = Header {
             format: self.format,
             double: S::DOUBLE,
@@ -101,7 +114,8 @@ impl Target {
         };
         progress.begin(Stage::Write, header.element_bytes());
         let path = self.whole.path.clone();
-        let contents = Contents { mesh, frame, carried };
+        let clothes = clothes.map(|(clothes, _)| clothes);
+        let contents = Contents { mesh, frame, carried, clothes, library: library.as_deref() };
         self.write_by(progress, |sink| encode(&contents, &header, &path, sink))
     }
 

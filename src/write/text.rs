@@ -1,9 +1,10 @@
 //! ASCII PLY and OBJ: every number in as few digits as read back to the same one.
 
 use super::encode::Contents;
-use super::{Format, Sink};
+use super::{Clothes, Format, Sink};
 use crate::error::Result;
 use crate::mesh::Coordinate;
+use crate::mesh::coat::Patch;
 use crate::mesh::columns::{Meaning, Number};
 use std::fmt;
 use std::io::Write;
@@ -36,10 +37,13 @@ pub(super) fn elements<S: Coordinate, W: Write>(
     format: Format,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    let Contents { mesh, frame, carried } = *contents;
+    let Contents { mesh, frame, carried, clothes, library } = *contents;
     let colour = if format == Format::Obj { carried.find::<3>(Meaning::Colour) } else { None };
     let (vertex, face, base) = if format == Format::Obj { ("v ", "f", 1) } else { ("", "3", 0) };
     let mut line = Vec::with_capacity(128);
+    if let Some(library) = library {
+        sink.put(format!("mtllib {library}\n").as_bytes())?;
+    }
     // Writing to memory does not fail.
     for (v, p) in mesh.positions.iter().enumerate() {
         let [x, y, z] = p.map(|x| Digits(S::narrow(frame.to_file(x.widen()))));
@@ -61,10 +65,78 @@ pub(super) fn elements<S: Coordinate, W: Write>(
         line.push(b'\n');
         sink.put(&line)?;
     }
-    for corners in &mesh.faces {
+    if let Some(clothes) = clothes.filter(|_| format == Format::Obj) {
+        return dressed(contents, &clothes, sink);
+    }
+    let labels = contents.labels().filter(|_| format == Format::PlyAscii);
+    for (f, corners) in mesh.faces.iter().enumerate() {
         let [a, b, c] = corners.map(|v| u64::from(v) + base);
         line.clear();
-        let _ = writeln!(line, "{face} {a} {b} {c}");
+        let _ = write!(line, "{face} {a} {b} {c}");
+        if let Some((dress, coat)) = labels {
+            for bits in &coat.patches[dress.patches[f] as usize].labels {
+                let _ = write!(line, " {}", f64::from_bits(*bits) as i64);
+            }
+        }
+        line.push(b'\n');
+        sink.put(&line)?;
+    }
+    Ok(())
+}
+
+/// What corners carry, and faces that name it, those of a patch together.
+fn dressed<S: Coordinate, W: Write>(
+    contents: &Contents<'_, S>,
+    clothes: &Clothes<'_>,
+    sink: &mut Sink<'_, W>,
+) -> Result<()> {
+    let Clothes { dress, coat, .. } = clothes;
+    let columns = &dress.columns;
+    let uv = columns.find::<2>(Meaning::Texture);
+    let normal = columns.find::<3>(Meaning::Normal);
+    let mut line = Vec::with_capacity(128);
+    for (word, at) in [("vt", uv.as_ref().map(|at| &at[..])), ("vn", normal.as_ref().map(|at| &at[..]))] {
+        let Some(at) = at else { continue };
+        for wedge in 0..dress.vertices.len() {
+            line.clear();
+            line.extend(word.as_bytes());
+            for c in at {
+                let _ = write!(line, " {}", Digits(columns.of(wedge)[*c] as f32));
+            }
+            line.push(b'\n');
+            sink.put(&line)?;
+        }
+    }
+    let mut order: Vec<u32> = (0..dress.corners.len() as u32).collect();
+    order.sort_by_key(|f| dress.patches[*f as usize]);
+    let mut now = None;
+    for f in order {
+        let (wedges, face) = (dress.corners[f as usize], contents.mesh.faces[f as usize]);
+        let patch = &coat.patches[dress.patches[f as usize] as usize];
+        line.clear();
+        if now.map(|now: &Patch| now.group) != Some(patch.group)
+            && let Some(name) = patch.group.and_then(|g| coat.groups.get(g as usize))
+        {
+            let word = if name.starts_with("o ") { "" } else { "g " };
+            let _ = writeln!(line, "{word}{name}");
+        }
+        if now.map(|now| now.material) != Some(patch.material)
+            && let Some(name) = patch.material.and_then(|m| coat.materials.get(m as usize))
+        {
+            let _ = writeln!(line, "usemtl {name}");
+        }
+        now = Some(patch);
+        line.push(b'f');
+        for (v, w) in face.into_iter().zip(wedges) {
+            let (v, w) = (u64::from(v) + 1, u64::from(w) + 1);
+            let _ = match (uv.is_some(), normal.is_some()) {
+                (true, true) => write!(line, " {v}/{w}/{w}"),
+                (true, false) => write!(line, " {v}/{w}"),
+                (false, true) => write!(line, " {v}//{w}"),
+                (false, false) => write!(line, " {v}"),
+            };
+        }
+        line.push(b'\n');
         sink.put(&line)?;
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! What vertices carry reaches the result.
 
 use crate::TIGHT;
-use crate::support::{Folder, Mesh, torus};
+use crate::support::{Folder, Kind, Mesh, field, torus};
 use serde_json::Value;
 
 /// What a place is coloured.
@@ -79,4 +79,83 @@ fn what_is_left_behind_is_told() {
     std::fs::rename(folder.path("out.obj"), folder.path("scan.obj")).unwrap();
     let (_, text) = reduce(&folder, "scan.obj", &["--faces", "200"]);
     assert!(text.contains("property uchar red\n"));
+}
+
+/// A field whose faces are labelled by where they lie: left or right of a wavy line.
+fn label([x, y, _]: [f64; 3]) -> u8 {
+    if x < 60.0 + 14.0 * (y / 9.0).sin() { 3 } else { 200 }
+}
+
+fn labelled(mesh: &Mesh) -> String {
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nelement face {}\n\
+         property list uchar int vertex_indices\nproperty uchar kind\nend_header\n",
+        mesh.positions.len(),
+        mesh.faces.len()
+    );
+    mesh.positions.iter().for_each(|[x, y, z]| text += &format!("{x} {y} {z}\n"));
+    for face in &mesh.faces {
+        let [a, b, c] = face;
+        text += &format!("3 {a} {b} {c} {}\n", label(middle(mesh, face)));
+    }
+    text
+}
+
+fn middle(mesh: &Mesh, face: &[u32; 3]) -> [f64; 3] {
+    let [a, b, c] = face.map(|v| mesh.positions[v as usize]);
+    std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)
+}
+
+#[test]
+fn borders_between_labels_are_held() {
+    let folder = Folder::new();
+    let mesh = field(120, 90);
+    folder.file("scan.ply", labelled(&mesh));
+    let (report, text) = reduce(&folder, "scan.ply", &["--faces", "1200"]);
+    assert_eq!(report["warnings"], Value::Array(Vec::new()));
+    let (header, body) = text.split_once("end_header\n").unwrap();
+    assert!(header.contains("property list uchar int vertex_indices\nproperty uchar kind"), "{header}");
+    let vertices = report["output"]["vertices"].as_u64().unwrap() as usize;
+    let numbers = |line: &str| line.split(' ').map(|x| x.parse::<f64>().unwrap()).collect::<Vec<_>>();
+    let lines: Vec<Vec<f64>> = body.lines().map(numbers).collect();
+    let at = |v: f64| -> [f64; 3] { lines[v as usize][..3].try_into().unwrap() };
+    let (mut wrong, mut all) = (0.0, 0.0);
+    for face in &lines[vertices..] {
+        let [a, b, c] = [at(face[1]), at(face[2]), at(face[3])];
+        let area = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs();
+        // Points of the face that lie where another label should be.
+        for i in 0..10 {
+            for j in 0..10 - i {
+                let (s, t) = ((f64::from(i) + 0.33) / 10.0, (f64::from(j) + 0.33) / 10.0);
+                let p: [f64; 3] = std::array::from_fn(|k| a[k] + s * (b[k] - a[k]) + t * (c[k] - a[k]));
+                all += area / 55.0;
+                wrong += if f64::from(label(p)) == face[4] { 0.0 } else { area / 55.0 };
+            }
+        }
+    }
+    // The line of the scan's own faces is half a cell off already.
+    assert!(wrong < 0.012 * all, "{wrong} of {all}");
+}
+
+#[test]
+fn the_spare_bytes_of_an_stl_come_through() {
+    let folder = Folder::new();
+    let mesh = field(40, 30);
+    let mut bytes = mesh.bytes(Kind::Stl);
+    for (face, record) in mesh.faces.iter().zip(bytes[84..].chunks_exact_mut(50)) {
+        let left = middle(&mesh, face)[0] < 20.0;
+        record[48..].copy_from_slice(&u16::to_le_bytes(if left { 0x1234 } else { 7 }));
+    }
+    folder.file("scan.stl", bytes);
+    let outcome = folder.reduce_to("out.stl", &folder.path("scan.stl"), &["--faces", "300"]);
+    assert_eq!((outcome.code, &outcome.object["warnings"]), (Some(0), &Value::Array(Vec::new())));
+    let bytes = std::fs::read(folder.path("out.stl")).unwrap();
+    for record in bytes[84..].chunks_exact(50) {
+        let number = |i: usize| f64::from(f32::from_le_bytes(record[12 + 4 * i..][..4].try_into().unwrap()));
+        let x = (number(0) + number(3) + number(6)) / 3.0;
+        let label = u16::from_le_bytes([record[48], record[49]]);
+        assert_eq!(label, if x < 20.0 { 0x1234 } else { 7 }, "at {x}");
+    }
+    let (_, text) = reduce(&folder, "scan.stl", &["--faces", "300"]);
+    assert!(text.contains("property ushort attribute\n"));
 }

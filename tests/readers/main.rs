@@ -13,6 +13,7 @@ mod text;
 mod write;
 
 use meshmill::error::{Error, Result};
+use meshmill::mesh::coat::NOTHING;
 use meshmill::progress::Progress;
 use meshmill::read::{Crew, Layout, Scan};
 use std::path::{Path, PathBuf};
@@ -89,6 +90,7 @@ pub fn stream(scan: &Scan, workers: usize) -> Result<Content> {
         let chunks = Mutex::new(Vec::new());
         scan.soup(&crew, || (), |(), c| keep(&chunks, c.first, c.triangles))?;
         content.soup = join(chunks.into_inner().unwrap());
+        corners(scan, None)?;
         assert!(content.soup.as_flattened().as_flattened().iter().all(|x| x.is_finite()));
         assert_eq!(content.soup.len() as u64, scan.triangle_count());
         assert_eq!(scan.vertex_count(), 3 * scan.triangle_count());
@@ -103,7 +105,24 @@ pub fn stream(scan: &Scan, workers: usize) -> Result<Content> {
     assert_eq!(content.positions.len() as u64, scan.vertex_count());
     assert_eq!(content.triangles.len() as u64, scan.triangle_count());
     assert!(content.triangles.as_flattened().iter().all(|v| u64::from(*v) < scan.vertex_count()));
+    corners(scan, Some(&content.triangles))?;
     Ok(content)
+}
+
+/// Reads what corners and faces carry: of the same triangles, and of values that are there.
+fn corners(scan: &Scan, triangles: Option<&[[u32; 3]]>) -> Result<()> {
+    let progress = Progress::default();
+    let Some(coat) = scan.coat(&progress)? else { return Ok(()) };
+    let mut found = Vec::new();
+    scan.corners(&coat, &progress, &mut |all| {
+        assert!(all.uvs.iter().all(|i| *i == NOTHING || (*i as usize) < coat.uvs.len()));
+        assert!(all.normals.iter().all(|i| *i == NOTHING || (*i as usize) < coat.normals.len()));
+        assert!((all.patch as usize) < coat.patches.len());
+        found.push(all.vertices);
+    })?;
+    assert_eq!(found.len() as u64, scan.triangle_count());
+    assert!(triangles.is_none_or(|triangles| found == triangles));
+    Ok(())
 }
 
 /// Opens and streams a file.

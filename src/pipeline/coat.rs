@@ -1,0 +1,179 @@
+//! What corners and faces of the scan carry, on its way to the result.
+
+use super::{Intermediate, Run};
+use crate::carry::{Worn, mean_shades, put_on, range_length, shades};
+use crate::collapse::Carried;
+use crate::error::Result;
+use crate::job::Job;
+use crate::mesh::coat::Dress;
+use crate::mesh::columns::{self, Meaning};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges};
+use crate::read::{Crew, Scan};
+use crate::report::Warning;
+use crate::write::{self, Clothes, Wardrobe};
+use std::path::Path;
+
+/// Columns of the colour that is to steer, if one is.
+pub(super) fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
+    let steers = job.carry && job.policies.colour_weight > 0.0;
+    steers.then(|| columns::find(scan.columns(), Meaning::Colour)).flatten()
+}
+
+/// What a scan wears while it is reduced.
+pub(super) struct Outfit<S> {
+    pub(super) worn: Worn<S>,
+    pub(super) wardrobe: Wardrobe,
+    /// Files that its materials name, and that are not there.
+    missing: Vec<String>,
+}
+
+/// What a finished mesh wears.
+pub(super) struct Dressed<'a> {
+    dress: Dress,
+    coat: &'a crate::mesh::coat::Coat,
+    wardrobe: &'a Wardrobe,
+    scan: &'a Path,
+}
+
+impl Dressed<'_> {
+    /// The vertices that a file of this format gets, of a mesh that has so many.
+    pub(super) fn vertices(&self, format: write::Format, of_mesh: usize) -> usize {
+        let apart = format != write::Format::Obj && self.dress.splits(format == write::Format::Stl);
+        if apart { self.dress.vertices.len() } else { of_mesh }
+    }
+
+    pub(super) fn clothes(&self) -> (Clothes<'_>, &Path) {
+        (Clothes { dress: &self.dress, coat: self.coat, wardrobe: self.wardrobe }, self.scan)
+    }
+}
+
+impl Run<'_> {
+    /// What a loaded scan carries into the collapse, and what it wears.
+    pub(super) fn outfitted<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        asked: Option<u64>,
+    ) -> Result<(Option<Carried>, Option<Outfit<S>>)> {
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let policies = &self.job.policies;
+        let worn = if self.job.carry { put_on(self.scan, mesh, frame, &crew)? } else { None };
+        let colour = steering(self.job, self.scan);
+        if colour.is_none() && worn.is_none() {
+            return Ok((None, None));
+        }
+        let length = range_length(mesh, asked);
+        let mut carried = Carried::default();
+        if let Some(colour) = colour {
+            let length = policies.colour_weight * length;
+            carried.shades = shades(self.scan, colour, mesh, frame, length, &crew)?;
+        }
+        let Some((worn, wedges)) = worn else { return Ok((Some(carried), None)) };
+        carried.shades = worn.shades(&wedges, &mesh.faces, &carried.shades, policies.texture_weight * length);
+        carried.wedges = wedges;
+        let (wardrobe, missing) = Wardrobe::of(&worn.coat, self.scan.path());
+        Ok((Some(carried), Some(Outfit { worn, wardrobe, missing })))
+    }
+
+    /// What clustering's result is to be steered by.
+    pub(super) fn mean_shades<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+        asked: Option<u64>,
+    ) -> Result<Shades> {
+        let Some(colour) = steering(self.job, self.scan) else { return Ok(Shades::default()) };
+        let crew = Crew { workers: self.purse.workers, progress: self.progress };
+        let length = self.job.policies.colour_weight * range_length(mesh, asked);
+        mean_shades(self.scan, colour, mesh, frame, length, &crew)
+    }
+
+    /// What the result wears, in a format that holds any of it.
+    pub(super) fn dressed<'o, S: Coordinate>(
+        &'o self,
+        outfit: Option<&'o Outfit<S>>,
+        mesh: &IndexedMesh<S>,
+        wedges: &Wedges,
+        format: write::Format,
+    ) -> Result<Option<Dressed<'o>>> {
+        let Some(Outfit { worn, wardrobe, .. }) = outfit.filter(|o| wears(format, o)) else {
+            return Ok(None);
+        };
+        let dress = worn.dress(mesh, wedges, self.progress)?;
+        Ok(Some(Dressed { dress, coat: &worn.coat, wardrobe, scan: self.scan.path() }))
+    }
+
+    /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
+    pub(super) fn columns<S: Coordinate>(
+        &self,
+        format: write::Format,
+        outfit: Option<&Outfit<S>>,
+    ) -> (Vec<usize>, Vec<String>) {
+        use crate::read::Carrier;
+        if !self.job.carry {
+            return (Vec::new(), Vec::new());
+        }
+        let columns = self.scan.columns();
+        let wanted: Vec<usize> = (0..columns.len()).filter(|c| format.holds(columns[*c].meaning)).collect();
+        let is_carried = |name: &str| wanted.iter().any(|c| columns[*c].name == name);
+        let is_worn = |meaning: Meaning| {
+            let worn = outfit.is_some_and(|outfit| outfit.worn.columns().iter().any(|c| c.meaning == meaning));
+            worn && format.holds_at_corners(meaning)
+        };
+        let mut lost: Vec<String> = Vec::new();
+        for attribute in self.scan.attributes() {
+            let held = match (attribute.carrier, attribute.name.as_str()) {
+                // What OBJ calls one attribute is columns here.
+                (Carrier::Vertex, "colour" | "COLOR_0") => !wanted.is_empty(),
+                (Carrier::Vertex, "TEXCOORD_0") => is_worn(Meaning::Texture(0)),
+                (Carrier::Vertex, "NORMAL") => is_worn(Meaning::Normal(0)),
+                (Carrier::Vertex, "s" | "t" | "u" | "v" | "texture_u" | "texture_v" | "tx" | "ty")
+                    if is_worn(Meaning::Texture(0)) =>
+                {
+                    true
+                }
+                (Carrier::Vertex, name) => is_carried(name),
+                (Carrier::Corner, "vt") => is_worn(Meaning::Texture(0)),
+                (Carrier::Corner, "vn") => is_worn(Meaning::Normal(0)),
+                (Carrier::Face, "usemtl") => outfit.is_some() && format.holds_materials(),
+                (Carrier::Face, "g") => outfit.is_some() && format.holds_groups(),
+                (_, "texcoord") => is_worn(Meaning::Texture(0)),
+                (Carrier::Face, name) => outfit.is_some_and(|outfit| {
+                    let coat = &outfit.worn.coat;
+                    format.holds_labels(coat) && coat.face_columns.iter().any(|c| c.name == name)
+                }),
+                _ => false,
+            };
+            if !(held || lost.contains(&attribute.name)) {
+                lost.push(attribute.name);
+            }
+        }
+        if let Some(outfit) = outfit.filter(|_| format.holds_materials()) {
+            lost.extend(outfit.missing.iter().cloned());
+            let textures = outfit.wardrobe.textures.iter();
+            let kept = |texture: &&write::Texture| format == write::Format::Obj || texture.mime().is_some();
+            lost.extend(textures.filter(|texture| !kept(texture)).map(|texture| texture.name.clone()));
+        }
+        (wanted, lost)
+    }
+
+    /// The loaded scan, ready to be collapsed.
+    pub(super) fn loaded<S: Coordinate>(
+        &self,
+        (mesh, frame, report): crate::read::Loaded<S>,
+        asked: Option<u64>,
+    ) -> Result<Intermediate<S>> {
+        let (carried, outfit) = self.outfitted(&mesh, frame, asked)?;
+        Ok(Intermediate { mesh, frame, carried, outfit, samples: None, source: super::Source::Loaded(report) })
+    }
+}
+
+/// Whether a format holds any of what corners and faces carry.
+fn wears<S: Coordinate>(format: write::Format, outfit: &Outfit<S>) -> bool {
+    format != write::Format::Stl || format.holds_labels(&outfit.worn.coat)
+}
+
+/// What is said of seams.
+pub(super) fn seam_warning(gave_way: bool) -> Option<Warning> {
+    gave_way.then_some(Warning::SeamsGaveWay)
+}
