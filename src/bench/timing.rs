@@ -7,7 +7,7 @@ use crate::mesh::{Frame, IndexedMesh};
 use crate::progress::Progress;
 use crate::queue::{reset_peak, rss_bytes};
 use crate::read::{Crew, Scan, load};
-use crate::refit::{Aim, LEAST_RATIO, refit};
+use crate::refit::{Aim, Held, LEAST_RATIO, refit};
 use crate::report::peak_rss_bytes;
 use serde::Serialize;
 use std::path::Path;
@@ -117,9 +117,9 @@ fn reduced(
     let keep_reference = rounds > 0 && faces > 0 && faces.saturating_mul(LEAST_RATIO) <= mesh.faces.len();
     let options =
         collapse::Options { policies: policies.in_frame(frame), keep_reference, ..collapse::Options::to(faces) };
-    let Collapsed { mut mesh, reference, locked, .. } = collapse(mesh, None, &options, progress)?;
+    let Collapsed { mut mesh, mut wedges, reference, locked, .. } = collapse(mesh, None, &options, progress)?;
     let aim = Aim { reference: reference.as_ref(), samples: None };
-    refit(&mut mesh, &aim, rounds, &locked, progress)?;
+    refit(&mut mesh, &aim, rounds, Held { locked: &locked, wedges: &mut wedges }, progress)?;
     Ok(mesh)
 }
 
