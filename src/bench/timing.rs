@@ -3,7 +3,7 @@
 use crate::collapse::{self, Collapsed, Placement, Policies, Primitive, collapse};
 use crate::error::{Error, Result};
 use crate::job::DEFAULT_REFIT_ROUNDS;
-use crate::mesh::{Frame, IndexedMesh, Wedges};
+use crate::mesh::{Frame, IndexedMesh};
 use crate::progress::Progress;
 use crate::queue::{reset_peak, rss_bytes};
 use crate::read::{Crew, Scan, load};
@@ -117,10 +117,9 @@ fn reduced(
     let keep_reference = rounds > 0 && faces > 0 && faces.saturating_mul(LEAST_RATIO) <= mesh.faces.len();
     let options =
         collapse::Options { policies: policies.in_frame(frame), keep_reference, ..collapse::Options::to(faces) };
-    let Collapsed { mut mesh, reference, locked, .. } = collapse(mesh, None, &options, progress)?;
+    let Collapsed { mut mesh, mut wedges, reference, locked, .. } = collapse(mesh, None, &options, progress)?;
     let aim = Aim { reference: reference.as_ref(), samples: None };
-    let held = Held { locked: &locked, wedges: &mut Wedges::default() };
-    refit(&mut mesh, &aim, rounds, held, progress)?;
+    refit(&mut mesh, &aim, rounds, Held { locked: &locked, wedges: &mut wedges }, progress)?;
     Ok(mesh)
 }
 

@@ -14,8 +14,6 @@ const B: f32 = 1.0 / 6.0;
 
 /// What the result is fitted to: points of the surface.
 pub(super) trait Evidence<S>: Sync {
-    /// So many in a row lie side by side.
-    const TOGETHER: usize;
     /// How many there are.
     fn count(&self) -> usize;
     /// A point.
@@ -27,8 +25,6 @@ pub(super) trait Evidence<S>: Sync {
 }
 
 impl<S: Coordinate> Evidence<S> for Reference<S> {
-    const TOGETHER: usize = POINTS.len();
-
     fn count(&self) -> usize {
         3 * self.mesh.faces.len()
     }
@@ -70,8 +66,6 @@ impl<'a> Scanned<'a> {
 }
 
 impl<S: Coordinate> Evidence<S> for Scanned<'_> {
-    const TOGETHER: usize = 1;
-
     fn count(&self) -> usize {
         self.samples.samples.len()
     }
@@ -126,33 +120,19 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// Looks up every sample's nearest face: from where its vertex has gone, or its neighbour was found, at first, then from
-    /// the face it had.
-    pub fn assign<S: Coordinate, E: Evidence<S>>(&mut self, ground: Ground<S>, evidence: &E) {
+    /// Looks up every sample's nearest face: from where its vertex has gone at first, then from the face it had.
+    pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, evidence: &impl Evidence<S>) {
         let at_first = self.faces.is_empty();
         self.faces.resize(evidence.count(), NONE);
-        let look = |k: u32, begin: Option<u32>| {
-            let point = evidence.point(k);
-            let place = match begin {
-                Some(face) => ground.near_face(point.at, point.normal, face),
-                None => evidence.near(k).and_then(|v| ground.near_vertex(point.at, point.normal, v)),
+        self.faces.par_iter_mut().enumerate().with_min_len(1024).for_each(|(k, face)| {
+            let point = evidence.point(k as u32);
+            let place = if at_first {
+                evidence.near(k as u32).and_then(|v| ground.near_vertex(point.at, point.normal, v))
+            } else {
+                (*face != NONE).then(|| ground.near_face(point.at, point.normal, *face)).flatten()
             };
-            place.map_or(NONE, |place| place.face)
-        };
-        let found = |face: u32| Some(face).filter(|face| *face != NONE);
-        if at_first {
-            self.faces.par_chunks_mut(E::TOGETHER).enumerate().with_min_len(1024).for_each(|(i, together)| {
-                let mut begin = None;
-                for (k, face) in (i * E::TOGETHER..).zip(together) {
-                    *face = look(k as u32, begin);
-                    begin = found(*face).or(begin);
-                }
-            });
-        } else {
-            self.faces.par_iter_mut().enumerate().with_min_len(1024).for_each(|(k, face)| {
-                *face = found(*face).map_or(NONE, |begin| look(k as u32, Some(begin)));
-            });
-        }
+            *face = place.map_or(NONE, |place| place.face);
+        });
         self.sort(ground.mesh.faces.len());
     }
 

@@ -65,13 +65,13 @@ fn what_befalls_one_scan_is_one_failed_row() {
 fn what_a_failed_scan_has_written_is_taken_back() {
     let folder = archive();
     // Reduced in no time, and measured for long.
-    let samples = JOB.replace("64MiB", "2GiB").replace("2000", "60_000_000");
-    folder.file("night.toml", format!("{samples}[night]\nscan_time = '2s'\npictures = false\n"));
+    let samples = JOB.replace("64MiB", "2GiB").replace("2000", "16_000_000");
+    folder.file("night.toml", format!("{samples}[night]\nscan_time = '1s'\npictures = false\n"));
     let older = folder.path("out/torus.200.ply");
     fs::create_dir_all(folder.path("out")).unwrap();
     fs::write(&older, "of another night").unwrap();
     let object = report(&run(&folder, &["--json", "--only", "torus.ply"]), 1);
-    failed(&object, "torus.ply", &["time"], "longer than the 2 s");
+    failed(&object, "torus.ply", &["time"], "longer than the 1 s");
     let warnings = row(&object, "torus.ply")["warnings"].to_string();
     assert!(warnings.contains("removed"), "{object}");
     assert!(files(&folder.path("out")).into_keys().all(|path| path.extension().is_none_or(|e| e != "ply")));
