@@ -23,7 +23,7 @@
 //! | [`inspect`] | a scan | counts of what is in it and of what is wrong with it |
 //! | [`picture`] | a scan, a camera | what it looks like |
 //! | [`synth`] | a count and a seed | a scan to try all this on |
-//! | [`bench`] | models, or counts | how long stages take, beside Garland's thesis |
+//! | [`bench`](mod@bench) | models, or counts | how long stages take, beside Garland's thesis |
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
 //! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `carry`, `measure`, `inspect` and `picture`
