@@ -30,7 +30,7 @@ use crate::refit::{self, Aim, Held, refit};
 use crate::report::{DeviationFigures, Failure, MeshFile, Mode, Report, Timeline, Warning, peak_rss_bytes};
 use crate::scratch::Scratch;
 use crate::write;
-use coat::{Outfit, seam_warning, steering};
+use coat::{Outfit, steering};
 use glam::DVec3;
 use portrait::Portrait;
 use std::path::Path;
@@ -185,7 +185,7 @@ impl Run<'_> {
         if S::DOUBLE && out.loses_doubles() {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
-        warnings.extend(seam_warning(collapsed.seams_gave_way));
+        warnings.extend(collapsed.seams_gave_way.then_some(Warning::SeamsGaveWay));
         let (wanted, lost) = self.columns(out.format(), outfit.as_ref());
         if !lost.is_empty() {
             warnings.push(Warning::NotCarried { names: lost });

@@ -57,7 +57,7 @@ const COLLAPSE_MARGIN: f64 = 0.07;
 const ROUND_BYTES: u64 = 24;
 
 /// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too. Eight a face
-/// in place of 36 cost a tenth of E_avg.
+/// in place of 34 cost a tenth of E_avg.
 const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
 const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
 /// Scratch that no scan is too small for.
@@ -162,6 +162,11 @@ impl Purse {
         self.samples(scan, AIM) > 0
     }
 
+    /// Samples that are worth the trouble: a few more than refit asks for, since a scan may have less surface than it seems.
+    fn least_samples(&self) -> u64 {
+        (refit::LEAST_SAMPLES as u64 + 1).saturating_mul(self.ask.target)
+    }
+
     /// How many samples are worth taking of a scan whose intermediate mesh is `ratio` times as large as the result.
     fn samples(&self, scan: &Scan, ratio: f64) -> u64 {
         let target = self.ask.target;
@@ -174,7 +179,7 @@ impl Purse {
         let coarser = (AIM / ratio).clamp(1.0, MOST_COARSER);
         let samples = (refit::SAMPLES as f64 * coarser * coarser * target as f64) as u64;
         let samples = samples.min(on_scratch).min(most);
-        if samples < (refit::LEAST_SAMPLES as u64 + 1).saturating_mul(target) { 0 } else { samples }
+        if samples < self.least_samples() { 0 } else { samples }
     }
 
     /// How many samples are taken of a scan that goes into so many cells, where so many bytes of binned vertices may be
@@ -186,7 +191,7 @@ impl Purse {
             return samples;
         }
         let on_scratch = scratch_samples(SAMPLE_SCRATCH_BESIDE_BYTES, vertices);
-        samples.min(on_scratch.max((refit::LEAST_SAMPLES as u64 + 1).saturating_mul(self.ask.target)))
+        samples.min(on_scratch.max(self.least_samples()))
     }
 
     /// How many samples there is room for when a result of so many faces is refitted.

@@ -16,6 +16,10 @@ pub(super) const SMOOTHING: f64 = 0.002;
 /// [`SMOOTHING`] a height field at a hundredth of its faces had them 2.4 times as far off as looking them up would be.
 pub(super) const LITTLE_SMOOTHING: f64 = 1e-4;
 
+/// The valence of a regular vertex. One of more faces is pulled as much as it is by so many: a hub whose spokes all pulled would
+/// move whatever its samples say.
+const REGULAR: f64 = 6.0;
+
 /// What holds a piece without any sample to the average.
 const ANCHOR: f64 = 1e-6;
 
@@ -62,12 +66,15 @@ impl Sums {
             cross: self.cross.iter().map(|c| [number(&c[0]), number(&c[1]), number(&c[2])]).collect(),
             right: self.right.iter().map(number).collect(),
             columns: self.columns,
-            smoothing: 0.0,
+            pulls: Vec::new(),
             anchor: 0.0,
         };
         let all: f64 = system.square.iter().sum::<f64>() + 2.0 * system.cross.as_flattened().iter().sum::<f64>();
         let average = (all / vertices.max(1) as f64).max(1e-3);
-        (system.smoothing, system.anchor) = (smoothing * average, ANCHOR * average);
+        let mut valences = vec![0.0; vertices];
+        faces.as_flattened().iter().for_each(|v| valences[*v as usize] += 1.0);
+        system.pulls = valences.iter().map(|n| smoothing * average * (REGULAR / n).min(1.0)).collect();
+        system.anchor = ANCHOR * average;
         system
     }
 }
@@ -87,7 +94,8 @@ pub(super) struct System<'a> {
     cross: Vec<[f64; 3]>,
     right: Vec<f64>,
     columns: usize,
-    smoothing: f64,
+    /// By vertex: what an edge's two ends pull each other by is the lesser of theirs.
+    pulls: Vec<f64>,
     anchor: f64,
 }
 
@@ -137,7 +145,7 @@ impl System<'_> {
         for (face, cross) in self.faces.iter().zip(&self.cross) {
             for (i, cross) in cross.iter().enumerate() {
                 let (u, v) = (face[i] as usize, face[(i + 1) % 3] as usize);
-                let pull = self.smoothing * (x[u] - x[v]);
+                let pull = self.pull(u, v) * (x[u] - x[v]);
                 y[u] += cross * x[v] + pull;
                 y[v] += cross * x[u] - pull;
             }
@@ -148,9 +156,20 @@ impl System<'_> {
     fn diagonal(&self) -> Vec<f64> {
         let mut diagonal: Vec<f64> = self.square.iter().map(|square| square + self.anchor).collect();
         for face in self.faces {
-            face.iter().for_each(|v| diagonal[*v as usize] += 2.0 * self.smoothing);
+            for i in 0..3 {
+                let (u, v) = (face[i] as usize, face[(i + 1) % 3] as usize);
+                let pull = self.pull(u, v);
+                diagonal[u] += pull;
+                diagonal[v] += pull;
+            }
         }
         diagonal
+    }
+
+    /// How strongly neighbours are held to one value.
+    #[inline]
+    fn pull(&self, u: usize, v: usize) -> f64 {
+        self.pulls[u].min(self.pulls[v])
     }
 }
 

@@ -9,7 +9,6 @@ use crate::mesh::coat::Dress;
 use crate::mesh::columns::{self, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges};
 use crate::read::{Crew, Scan};
-use crate::report::Warning;
 use crate::write::{self, Clothes, Wardrobe};
 use std::path::Path;
 
@@ -160,10 +159,14 @@ impl Run<'_> {
     /// The loaded scan, ready to be collapsed.
     pub(super) fn loaded<S: Coordinate>(
         &self,
-        (mesh, frame, report): crate::read::Loaded<S>,
+        (mesh, frame, mut report): crate::read::Loaded<S>,
         asked: Option<u64>,
     ) -> Result<Intermediate<S>> {
         let (carried, outfit) = self.outfitted(&mesh, frame, asked)?;
+        // A format without corners of its own has a vertex for each side of a seam: none of these is one too many.
+        let wedges = outfit.as_ref().map_or(0, |outfit| outfit.worn.wedges());
+        let sides = wedges.saturating_sub(mesh.positions.len()) as u64;
+        report.duplicate_vertices = report.duplicate_vertices.saturating_sub(sides);
         Ok(Intermediate { mesh, frame, carried, outfit, samples: None, source: super::Source::Loaded(report) })
     }
 }
@@ -171,9 +174,4 @@ impl Run<'_> {
 /// Whether a format holds any of what corners and faces carry.
 fn wears<S: Coordinate>(format: write::Format, outfit: &Outfit<S>) -> bool {
     format != write::Format::Stl || format.holds_labels(&outfit.worn.coat)
-}
-
-/// What is said of seams.
-pub(super) fn seam_warning(gave_way: bool) -> Option<Warning> {
-    gave_way.then_some(Warning::SeamsGaveWay)
 }

@@ -191,7 +191,7 @@ impl<'a, V: Values<'a>> Records<'a, V> {
         let from = self.values.at();
         while out.len() < enough && self.pass_empty_lists()? {
             let begin = self.values.at();
-            self.face().map_err(|fault| self.error(begin, fault))?;
+            self.face(&[], None, &mut Vec::new(), &mut Vec::new()).map_err(|fault| self.error(begin, fault))?;
             self.ordinal += 1;
             match self.corners[..] {
                 [a, b, c] => out.push([a, b, c]),
@@ -208,7 +208,7 @@ impl<'a, V: Values<'a>> Records<'a, V> {
         let (mut labels, mut values) = (Vec::new(), Vec::new());
         while self.pass_empty_lists()? {
             let begin = self.values.at();
-            let read = self.labelled_face(wanted, list, &mut labels, &mut values);
+            let read = self.face(wanted, list, &mut labels, &mut values);
             read.map_err(|fault| self.error(begin, fault))?;
             self.ordinal += 1;
             each(&self.corners, &labels, &values);
@@ -216,7 +216,9 @@ impl<'a, V: Values<'a>> Records<'a, V> {
         Ok(())
     }
 
-    fn labelled_face(
+    /// Reads a face: its corners, the numbers of `wanted` properties and those of a `list`.
+    #[inline(always)]
+    fn face(
         &mut self,
         wanted: &[usize],
         list: Option<usize>,
@@ -239,25 +241,6 @@ impl<'a, V: Values<'a>> Records<'a, V> {
                         for _ in 0..n {
                             values.push(self.values.number(item)?);
                         }
-                    } else {
-                        self.values.skip(item, n)?;
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn face(&mut self) -> Result<(), Fault> {
-        self.corners.clear();
-        for property in &self.element.properties {
-            match property.shape {
-                Shape::Scalar(kind) => self.values.skip(kind, 1)?,
-                Shape::List { count, item } => {
-                    let n = list_length(&mut self.values, count)?;
-                    if property.role == Role::Corners {
-                        let n = check_corners(n, self.values.at())? as usize;
-                        self.values.indices(item, n, self.vertices, &mut self.corners)?;
                     } else {
                         self.values.skip(item, n)?;
                     }

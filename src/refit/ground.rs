@@ -32,7 +32,13 @@ impl<S: Coordinate> Ground<'_, S> {
     /// Twice the area times the unit normal of a face.
     #[inline(always)]
     pub fn normal(&self, face: u32) -> Vec3 {
-        let [a, b, c] = self.mesh.faces[face as usize].map(|v| self.mesh.positions[v as usize]);
+        self.normal_of(self.mesh.faces[face as usize])
+    }
+
+    /// The same of a triangle of vertices.
+    #[inline(always)]
+    pub fn normal_of(&self, corners: [u32; 3]) -> Vec3 {
+        let [a, b, c] = corners.map(|v| self.mesh.positions[v as usize]);
         step(a, b).cross(step(a, c))
     }
 

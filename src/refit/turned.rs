@@ -1,19 +1,11 @@
 //! Faces that look against those around them, as a sliver does that has turned over.
 
-use super::NONE;
 use super::ground::Ground;
+use crate::mesh::Coordinate;
 use crate::mesh::adjacency::{after, before, parts};
-use crate::mesh::{Coordinate, step};
 use glam::Vec3;
 
 impl<S: Coordinate> Ground<'_, S> {
-    /// Twice the area times the unit normal of a triangle of vertices.
-    #[inline(always)]
-    pub fn normal_of(&self, [a, b, c]: [u32; 3]) -> Vec3 {
-        let [a, b, c] = [a, b, c].map(|v| self.mesh.positions[v as usize]);
-        step(a, b).cross(step(a, c))
-    }
-
     /// The one other face of the edge from `u` to `v` of face `f`, and its third vertex.
     pub fn opposite(&self, f: u32, u: u32, v: u32) -> Option<(u32, u32)> {
         let mut found = None;
@@ -28,7 +20,7 @@ impl<S: Coordinate> Ground<'_, S> {
             }
             found = Some((g as u32, face[after(i)]));
         }
-        found.filter(|&(g, _)| g != NONE)
+        found
     }
 
     /// The other faces of a face's edges.

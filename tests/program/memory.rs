@@ -39,8 +39,10 @@ fn within(folder: &Folder, scan: &Path, memory: &str, threads: &str) {
     assert!(peak <= budget, "{scan:?} within {memory}, {threads} threads: {peak} resident");
     let vertices = outcome.object["input"]["vertices"].as_u64().unwrap();
     if scan.extension().is_some_and(|e| e == "ply") && !scan.to_str().unwrap().contains(['s', 'v']) {
-        // Binned vertices, and samples beside them: at most 160 of 16 bytes for each face that is asked for.
-        assert!(bytes("scratch_bytes") <= 8 * vertices + 160 * 16 * 2000 + (1 << 16), "{scan:?} within {memory}");
+        // Binned vertices, and samples of 16 bytes beside them: 40 for each face that is asked for, more where cells are coarse.
+        let coarser = outcome.object["ratio"].as_f64().map_or(1.0, |ratio| (10.0 / ratio).clamp(1.0, 2.0));
+        let samples = (16.0 * 40.0 * 1.2 * coarser * coarser * 2000.0) as u64;
+        assert!(bytes("scratch_bytes") <= 8 * vertices + samples + (1 << 16), "{scan:?} within {memory}");
     }
 }
 

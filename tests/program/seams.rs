@@ -111,7 +111,7 @@ fn check(found: &[Face], named: bool) -> usize {
         for i in 0..3 {
             let ([x, y, z], [s, t], [nx, ny, nz]) = (face.at[i], face.uv[i], face.normal[i]);
             if is_lid {
-                assert!((s - 0.5 - 0.5 * x).abs() < 0.03 && (t - 0.5 - 0.5 * y).abs() < 0.03, "{s} {t} at {x} {y}");
+                assert!((s - 0.5 - 0.5 * x).abs() < 0.02 && (t - 0.5 - 0.5 * y).abs() < 0.02, "{s} {t} at {x} {y}");
                 assert!((nz - (z - 1.5).signum()).abs() < 1e-3, "{nz} at {z}");
             } else {
                 let turn = y.atan2(x).rem_euclid(TAU) / TAU;
@@ -206,9 +206,7 @@ fn a_glb_is_read_back_with_its_seams() {
     let output = command.args(["--faces", "400", "--json"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    // The vertices of either side of a seam are one again; nothing else is lost.
-    let warnings = report["warnings"].as_array().unwrap();
-    assert!(warnings.iter().all(|warning| warning["code"] == "duplicate-vertices"), "{report}");
+    assert_eq!(report["warnings"], Value::Array(Vec::new()));
     let found = faces(&std::fs::read_to_string(folder.path("small.obj")).unwrap());
     assert!(check(&found, false) > 200 && found.len() >= 398);
 }
