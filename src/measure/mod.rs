@@ -38,19 +38,18 @@
 //! | a worker | 2.3 MiB, and the windows of a streaming pass | |
 
 mod heatmap;
-mod join;
 mod pass;
 mod patch;
 mod probes;
 mod sample;
 mod sizing;
-mod stream;
 mod tally;
 
 pub use heatmap::Scale;
 pub use sizing::{Needs, bytes_per_worker};
 
 use crate::error::{Error, Result};
+use crate::facets::{Stream, Stride};
 use crate::mesh::boxes::Origin;
 use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh, Tree};
 use crate::progress::Stage;
@@ -59,8 +58,7 @@ use crate::scratch::Scratch;
 use glam::DVec3;
 use pass::{Kept, Measuring, Survey};
 use probes::{Points, Probes};
-use sample::{Spread, Stride, area_of};
-use stream::Stream;
+use sample::{Spread, area_of};
 use tally::{Sum, Tally};
 
 /// Vertices of a mesh that are measured at most when nothing is said.

@@ -81,7 +81,7 @@ fn reduction<S: crate::mesh::Coordinate>(scan: &Scan, purse: &Purse, faces: u64)
     let mode = if purse.in_core::<S>(scan).is_some() {
         Some(Mode::InCore)
     } else {
-        purse.out_of_core::<S>(scan, Some(faces)).is_ok().then_some(Mode::OutOfCore)
+        purse.way::<S>(scan, Some(faces)).is_ok().then_some(Mode::OutOfCore)
     };
     let least_bytes = match purse.poorest().out_of_core::<S>(scan, Some(faces)) {
         Err(Error::Budget { needed_bytes, .. }) => needed_bytes,
