@@ -24,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
 use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
-use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, Way, most_threads};
+use crate::plan::{Ask, Cells, LOW_RATIO, Purse, Way, most_threads};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
 use crate::refit::{self, Aim, Held, refit};
@@ -84,6 +84,7 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         shade_bytes: if steering(job, scan).is_some() { 3 * collapse::SHADE_BYTES } else { 0 },
         coat_bytes: if job.carry { coat_bytes(scan) } else { 0 },
         carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
+        is_chain: !job.coarser.is_empty(),
     }
 }
 
@@ -454,7 +455,7 @@ impl Run<'_> {
                     warnings.push(Warning::CoarsenedGrid { times: stats.overflows, cells: stats.occupied_cells });
                 }
                 let ratio = faces as f64 / asked.unwrap_or(0).max(1) as f64;
-                if asked.is_some() && ratio < 2.0 * LEAST_RATIO {
+                if asked.is_some() && ratio < LOW_RATIO {
                     warnings.push(Warning::LowRatio { ratio });
                 }
             }

@@ -44,6 +44,9 @@ pub const AIM: f64 = 10.0;
 /// Intermediate : target below which a budget is refused.
 pub const LEAST_RATIO: f64 = 2.0;
 
+/// Intermediate : target below which clustering shows: at 3.8 E_avg is 1.37 times that in core, and in tiles 1.01 to 1.05.
+pub const LOW_RATIO: f64 = 4.0;
+
 /// Faces of the intermediate mesh for each cell that is aimed at: a closed surface has two a vertex, the count of cells
 /// is within 2 %, and some cells hold no face that survives.
 const FACES_A_CELL: f64 = 1.95;
@@ -149,6 +152,8 @@ pub struct Ask {
     pub coat_bytes: u64,
     /// What carrying over takes, beside the result.
     pub carry_bytes: u64,
+    /// Whether coarser meshes are made of the result, which then has to fit a collapse.
+    pub is_chain: bool,
 }
 
 /// A budget and the hands that share it.
@@ -298,16 +303,18 @@ impl Purse {
 
     /// The way of a scan that does not fit, of which `target` faces are asked, or as few as an error bound allows.
     pub fn way<S: Coordinate>(&self, scan: &Scan, target: Option<u64>) -> Result<Way> {
-        match (self.out_of_core::<S>(scan, target), target) {
-            (Ok(cells), _) => Ok(Way::Clustered(cells)),
-            (Err(Error::Budget { what, needed_bytes }), Some(target)) => match self.tiled::<S>(scan, target) {
-                Some(plan) => Ok(Way::Tiled(plan)),
-                None => {
-                    let enough = self.least_budget(|purse| purse.tiled::<S>(scan, target).is_some());
-                    Err(Error::Budget { what, needed_bytes: needed_bytes.min(enough) })
-                }
-            },
-            (Err(error), _) => Err(error),
+        let clustered = self.out_of_core::<S>(scan, target);
+        let Some(target) = target.filter(|_| !self.ask.is_chain) else { return clustered.map(Way::Clustered) };
+        let is_coarse = |cells: &Cells| cells_for(target, LOW_RATIO) > cells.most;
+        match (clustered, self.tiled::<S>(scan, target)) {
+            (Ok(cells), None) => Ok(Way::Clustered(cells)),
+            (Ok(cells), Some(_)) if !is_coarse(&cells) => Ok(Way::Clustered(cells)),
+            (_, Some(plan)) => Ok(Way::Tiled(plan)),
+            (Err(Error::Budget { what, needed_bytes }), None) => {
+                let enough = self.least_budget(|purse| purse.tiled::<S>(scan, target).is_some());
+                Err(Error::Budget { what, needed_bytes: needed_bytes.min(enough) })
+            }
+            (Err(error), None) => Err(error),
         }
     }
 

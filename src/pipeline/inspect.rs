@@ -36,6 +36,7 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
             shade_bytes: if has_colour(&scan) { 3 * collapse::SHADE_BYTES } else { 0 },
             coat_bytes: super::coat_bytes(&scan),
             carry_bytes: super::carry_bytes(&scan, faces),
+            is_chain: false,
         };
         let purse = Purse::new(inspection.memory.0, threads, ask);
         let crew = Crew { workers: purse.workers, progress };

@@ -26,16 +26,19 @@ use crate::scratch::{Scratch, ScratchFile};
 use crate::tiles::{self, Blocks, Cut, Lie, Partition, SampleStore};
 use glam::DVec3;
 use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// How many times as many faces as are asked for the sweeps are to leave for the last collapses. The pilot is within a tenth.
-const SPARE: f64 = 1.2;
+const SPARE: f64 = 1.25;
 /// How near to that the pilot is to come.
 const NEAR_ENOUGH: f64 = 0.03;
 /// Collapses of the pilot, at most.
 const PILOT_TURNS: u32 = 12;
-/// Faces of the pilot, about: from hundreds of places.
+/// Faces of the pilot, about.
 const PILOT_FACES: u64 = 1_500_000;
+/// Faces of a piece, if tiles have so many: enough for its cut border not to matter.
+const PIECE_FACES: u64 = 20_000;
 /// The cost of a collapse goes with the cube of the area that a face stands for.
 const COST_POWER: f64 = 3.0;
 /// What a collapse costs, about, for the square of the area of a face that is left: where the search begins.
@@ -114,13 +117,6 @@ struct Offer<S> {
 impl Run<'_> {
     /// Reduces in tiles, to the end.
     pub(super) fn tiled<S: Coordinate>(&self, asked: u64, plan: TilePlan) -> Result<Intermediate<S>> {
-        if !self.job.coarser.is_empty() {
-            let what = format!(
-                "{}: {asked} faces are made in tiles within this budget, and coarser meshes cannot be made of them",
-                self.scan.path().display()
-            );
-            return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
-        }
         let mut clock = Clock::new(Instant::now());
         let mill = Mill::cut_up(self, asked, plan)?;
         let cut_seconds = clock.lap();
@@ -214,8 +210,8 @@ impl<'a, S: Coordinate> Mill<'a, S> {
 
     /// Finds the cost down to which everything is to be collapsed.
     fn pilot(&self) -> Result<Threshold> {
-        let mesh = self.pieces()?;
-        let before = self.inner(&mesh).max(1) as f64;
+        let (mesh, pieces) = self.pieces()?;
+        let before = self.inner(&mesh, pieces).max(1) as f64;
         let wanted = SPARE * self.asked as f64 / self.cut.faces as f64;
         let area = self.cut.area() / (self.asked as f64).max(1.0);
         let mut cost = (FIRST_COST * area * area).max(f64::from(f32::MIN_POSITIVE));
@@ -226,7 +222,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
             let first = self.part(mesh.clone(), Default::default(), self.cut.faces, threshold, false)?.mesh;
             let whole = (self.cut.faces as f64 * first.faces.len() as f64 / mesh.faces.len().max(1) as f64) as u64;
             let second = self.part(first, Default::default(), whole, threshold, false)?.mesh;
-            let off = self.inner(&second) as f64 / before / wanted;
+            let off = self.inner(&second, pieces) as f64 / before / wanted;
             if (off - 1.0).abs() < NEAR_ENOUGH {
                 break;
             }
@@ -244,35 +240,58 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         Ok(Threshold { cost: cost as f32, held_to_share: false })
     }
 
-    /// Pieces from all over the scan: of every so many blocks an eighth, drawn by how many faces each has.
-    fn pieces(&self) -> Result<IndexedMesh<S>> {
+    /// Pieces from all over the scan, cubes of it, and how many of them there are along the side of a block.
+    fn pieces(&self) -> Result<(IndexedMesh<S>, f64)> {
         let wanted = PILOT_FACES.min(self.plan.faces / 2).max(1);
-        let every = (self.cut.faces / 4 / wanted).max(1) as usize;
+        let by_block = self.scan.by_block();
+        let cubes = |side: u32| {
+            let mut cubes: BTreeMap<u64, Vec<tiles::Run>> = BTreeMap::new();
+            by_block.iter().for_each(|(block, runs)| cubes.entry(tiles::cube(*block, side)).or_default().extend(runs));
+            cubes
+        };
+        let of_each = |count: usize| self.cut.faces / (count as u64).max(1);
+        // A surface is in four of the eight parts of a block.
+        let (cubes, pieces) = if of_each(4 * by_block.len()) >= PIECE_FACES {
+            (cubes(1), 2.0)
+        } else {
+            let cubes_of = |side: u32| (cubes(side), 1.0 / f64::from(side));
+            let enough = |(cubes, _): &(BTreeMap<u64, Vec<tiles::Run>>, f64)| of_each(cubes.len()) >= PIECE_FACES;
+            [1, 2].into_iter().map(cubes_of).find(enough).unwrap_or_else(|| cubes_of(4))
+        };
+        let parts = if pieces > 1.0 { 4 } else { 1 };
+        let every = (self.cut.faces / parts / wanted).max(1) as usize;
         let mut soup: Vec<[[S; 3]; 3]> = Vec::new();
-        for (block, runs) in self.scan.by_block().into_iter().skip(every / 2).step_by(every) {
-            let faces = self.scan.soup(&runs)?;
-            let octant = |face: &[[S; 3]; 3]| {
-                let within = self.blocks.within(centroid(face.map(widen)));
-                within.to_array().iter().fold(0, |octant, x| octant << 1 | usize::from(*x >= 0.5))
-            };
-            let mut counts = [0u64; 8];
-            faces.iter().for_each(|face| counts[octant(face)] += 1);
-            let mut drawn = block.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 16;
-            drawn %= faces.len() as u64;
-            let mut chosen = 0;
-            while drawn >= counts[chosen] {
-                drawn -= counts[chosen];
-                chosen += 1;
+        for (cube, runs) in cubes.into_iter().skip(every / 2).step_by(every) {
+            let mut faces = self.scan.soup(&runs)?;
+            if pieces > 1.0 {
+                self.keep_a_part(cube, &mut faces);
             }
-            soup.extend(faces.into_iter().filter(|face| octant(face) == chosen));
+            soup.extend(faces);
         }
-        Ok(tiles::welded(soup, &self.blocks).0)
+        Ok((tiles::welded(soup, &self.blocks).0, pieces))
+    }
+
+    /// Keeps the faces in one of the eight parts of a block: drawn, by how many each has.
+    fn keep_a_part(&self, block: u64, faces: &mut Vec<[[S; 3]; 3]>) {
+        let part = |face: &[[S; 3]; 3]| {
+            let within = self.blocks.within(centroid(face.map(widen)), 1.0);
+            within.to_array().iter().fold(0, |part, x| part << 1 | usize::from(*x >= 0.5))
+        };
+        let mut counts = [0u64; 8];
+        faces.iter().for_each(|face| counts[part(face)] += 1);
+        let mut drawn = (block.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 16) % (faces.len() as u64).max(1);
+        let mut chosen = 0;
+        while chosen < 7 && drawn >= counts[chosen] {
+            drawn -= counts[chosen];
+            chosen += 1;
+        }
+        faces.retain(|face| part(face) == chosen);
     }
 
     /// Faces of pieces that are away from where these were cut.
-    fn inner(&self, mesh: &IndexedMesh<S>) -> usize {
+    fn inner(&self, mesh: &IndexedMesh<S>, pieces: f64) -> usize {
         let is_inner = |face: &&[u32; 3]| {
-            let within = (2.0 * self.blocks.within(centroid(face.map(|v| widen(mesh.positions[v as usize]))))).fract();
+            let within = self.blocks.within(centroid(face.map(|v| widen(mesh.positions[v as usize]))), pieces);
             within.cmpge(DVec3::splat(RIM)).all() && within.cmple(DVec3::splat(1.0 - RIM)).all()
         };
         mesh.faces.iter().filter(is_inner).count()

@@ -29,7 +29,7 @@ fn spread(x: u64) -> u64 {
 }
 
 /// Blocks along the longest side of the scan at first: few enough to be counted one by one.
-const FIRST: f64 = 128.0;
+const FIRST: u32 = 128;
 /// How much smaller blocks become where a tile would hold too much, and how often.
 const FINER: f64 = 4.0;
 const TURNS: u32 = 5;
@@ -98,9 +98,9 @@ impl Blocks {
         spread(steps.x) | spread(steps.y) << 1 | spread(steps.z) << 2
     }
 
-    /// Where a point is in its block, from 0 to 1.
-    pub fn within(&self, p: DVec3) -> DVec3 {
-        ((p - self.least) * self.per_side).fract()
+    /// Where a point is in its piece, from 0 to 1: of a block along a side there are so many `pieces`.
+    pub fn within(&self, p: DVec3, pieces: f64) -> DVec3 {
+        ((p - self.least) * (self.per_side * pieces)).fract()
     }
 }
 
@@ -143,16 +143,14 @@ pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most:
         Layout::Indexed => scan.triangle_count() as f64 / scan.vertex_count().max(1) as f64,
         Layout::Soup => 1.0,
     };
-    let mut side = size * (1.0 + 1e-9) / FIRST;
+    let mut side = size * (1.0 + 1e-9) / f64::from(FIRST);
     for _ in 0..TURNS {
         let counts = count(scan, crew, &place, &Blocks::new(min, side))?;
         // From tiles that hold all down to those of the finest blocks.
-        let mut coarsening = FIRST as u32;
-        while coarsening > 0 {
-            if f64::from(heaviest(&counts, coarsening)) * each * MARGIN <= most as f64 {
-                return Ok(Some(Blocks::new(min, side * f64::from(coarsening))));
-            }
-            coarsening /= 2;
+        let mut coarsenings = (0..=FIRST.ilog2()).rev().flat_map(|power| (4..=7).rev().map(move |n| (n << power) / 4));
+        let fits = |n: &u32| f64::from(heaviest(&counts, *n)) * each * MARGIN <= most as f64;
+        if let Some(coarsening) = coarsenings.find(fits) {
+            return Ok(Some(Blocks::new(min, side * f64::from(coarsening))));
         }
         side /= FINER;
         if size / side > MASK as f64 {
@@ -189,15 +187,17 @@ fn count(scan: &Scan, crew: &Crew, place: &(impl Fn([f64; 3]) -> DVec3 + Sync), 
         .unwrap_or_default())
 }
 
+/// The cube of so many blocks along each side that a block is in.
+pub fn cube(block: u64, blocks: u32) -> u64 {
+    let along = |axis: u32| (block >> (axis * BITS) & MASK) / u64::from(blocks);
+    along(0) | along(1) << BITS | along(2) << (2 * BITS)
+}
+
 /// The most that a tile holds, of either lie, if so many blocks were one along each side.
 fn heaviest(counts: &Counts, coarsening: u32) -> u32 {
-    let coarse = |block: u64| {
-        let along = |axis: u32| (block >> (axis * BITS) & MASK) / u64::from(coarsening);
-        along(0) | along(1) << BITS | along(2) << (2 * BITS)
-    };
     let heaviest = |lie: Lie| {
         let mut tiles = Counts::default();
-        counts.iter().for_each(|(block, n)| *tiles.entry(lie.tile(coarse(*block))).or_insert(0) += n);
+        counts.iter().for_each(|(block, n)| *tiles.entry(lie.tile(cube(*block, coarsening))).or_insert(0) += n);
         tiles.into_values().max().unwrap_or(0)
     };
     heaviest(Lie::Straight).max(heaviest(Lie::Shifted))

@@ -17,7 +17,7 @@ mod partition;
 mod sampling;
 mod store;
 
-pub use grid::{Blocks, Lie, blocks, extent};
+pub use grid::{Blocks, Lie, blocks, cube, extent};
 pub(crate) use partition::welded;
 pub use partition::{Cut, Cutter, Partition, Place, Tile, loading_bytes};
 pub use sampling::{SampleStore, SampleTiles, draw, record_bytes as sample_bytes};
