@@ -372,6 +372,8 @@ impl Run<'_> {
             max_error,
             policies: self.job.policies.in_frame(frame),
             locked,
+            last_factor: collapse::LAST_FACTOR,
+            tail_faces: collapse::TAIL_FACES,
             keep_reference: self.purse.keeps_reference(sampled) && target.saturating_mul(refit::LEAST_RATIO) <= faces,
             part: None,
         }

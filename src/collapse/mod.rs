@@ -83,6 +83,10 @@ pub struct Options<'a> {
     pub locked: &'a [DVec3],
     /// Whether to keep the mesh as it was at ten times the target, and what became of it.
     pub keep_reference: bool,
+    /// From how many times the target on the current faces choose: [`LAST_FACTOR`], or less.
+    pub last_factor: usize,
+    /// Faces that are left to the heap, at least: [`TAIL_FACES`], or fewer.
+    pub tail_faces: usize,
     /// Where the mesh is a part of a larger one.
     pub part: Option<Part>,
 }
@@ -123,6 +127,8 @@ impl Options<'_> {
             policies: Policies::default(),
             locked: &[],
             keep_reference: false,
+            last_factor: LAST_FACTOR,
+            tail_faces: TAIL_FACES,
             part: None,
         }
     }
@@ -229,7 +235,7 @@ const PAIRS_SLACK: f64 = 1.5;
 
 /// Faces that are left to the heap above the target: at least the former, or this share of the target. Where only a few
 /// hundred faces are asked for, each matters, and 1,000 take about 10 ms.
-const TAIL_FACES: usize = 1000;
+pub const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
 
 /// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for more
@@ -289,7 +295,7 @@ pub fn collapse<S: Coordinate>(
     let dropped =
         least.map_or(Dropped::default(), |l| pieces::drop_small(&mut mesh, &mut learnt, &mut shades, &mut wedges, l));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
-    let (mut surface, irregularities) = prepare(mesh, learnt, (shades, wedges), &locked, options);
+    let (mut surface, irregularities) = prepare(mesh, learnt, (shades, wedges), &locked, options, progress)?;
     let mut error_sq = largest_error_sq(&surface.learnt);
     let mut rounds = Rounds::new(options, homes);
     while let Some(round_error_sq) = rounds.turn(&mut surface, progress)? {
@@ -309,6 +315,7 @@ pub fn collapse<S: Coordinate>(
         if options.policies.quadrics == Quadrics::Current {
             surface.renew_current(options);
         }
+        surface.evaluate(options, |marks| marks & TOUCHED != 0);
         let end = tail::finish(&mut surface, options, &mut followed, progress)?;
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
@@ -345,10 +352,12 @@ fn prepare<S: Coordinate>(
     (shades, wedges): (Shades, Wedges),
     locked: &[u32],
     options: &Options,
-) -> (Surface<S>, Irregularities) {
+    progress: &Progress,
+) -> Result<(Surface<S>, Irregularities)> {
     let n = mesh.positions.len();
     let mut stars = Stars::default();
     stars.rebuild(&mesh.faces, n);
+    progress.check()?;
     let mut surface = Surface {
         costs: Vec::new(),
         faces: mesh.faces,
@@ -363,14 +372,16 @@ fn prepare<S: Coordinate>(
         stars,
     };
     let irregularities = classify::classify(&surface);
+    progress.check()?;
     surface.mark_held(options);
     locked.iter().for_each(|v| *surface.marks[*v as usize].get_mut() |= LOCKED);
     surface.mark_seams();
     surface.find_pieces();
+    progress.check()?;
     if surface.learnt.is_empty() {
         surface.learn(options);
     }
-    (surface, irregularities)
+    Ok((surface, irregularities))
 }
 
 /// The largest error that the vertices come with: clustering's, zero for the scan itself.
@@ -409,7 +420,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
     fn new(options: &'a Options<'a>, homes: Vec<u32>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
         let tail = match options.policies.ends_serially() {
-            false => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
+            false => options.tail_faces.max((options.target as f64 * TAIL_SHARE) as usize),
             true => serial_faces(options.target),
         };
         let floor = match options.part {
@@ -429,7 +440,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             return Ok(None);
         }
         let within = |factor: usize| before / factor <= self.options.target;
-        let last = self.paired || within(LAST_FACTOR);
+        let last = self.paired || within(self.options.last_factor);
         let holds = self.options.locks() && self.options.part.is_none();
         let near = last || self.options.policies.by_pairs() || holds || surface.is_seamed();
         let most = (before - self.floor).div_ceil(2);
@@ -441,12 +452,15 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         } else {
             groups::select(&mut self.batch, surface, if within(FAR_FACTOR) { MIDDLE } else { FAR }, self.options);
         }
+        progress.check()?;
         let mut leaders = self.batch.all_leaders();
         self.hold_back(&mut leaders, surface, most, near);
         if leaders.is_empty() && near {
             return Ok(None);
         }
+        progress.check()?;
         let error_sq = commit::commit(surface, &mut self.batch, &leaders, &mut self.followed);
+        progress.check()?;
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();
