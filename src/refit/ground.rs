@@ -26,7 +26,7 @@ pub(super) struct Place {
 const LONGEST_WALK: usize = 64;
 
 /// Differences of distances below this share of a face's side are rounding.
-const ROUNDING: f32 = 4e-6;
+pub(super) const ROUNDING: f32 = 4e-6;
 
 impl<S: Coordinate> Ground<'_, S> {
     /// Twice the area times the unit normal of a face.
@@ -71,7 +71,7 @@ impl<S: Coordinate> Ground<'_, S> {
     }
 
     /// Steps across the edge or the corner that the place is on, as long as that is nearer.
-    fn walk(&self, mut place: Place, point: [S; 3], normal: Vec3) -> Place {
+    pub fn walk(&self, mut place: Place, point: [S; 3], normal: Vec3) -> Place {
         for _ in 0..LONGEST_WALK {
             let face = self.mesh.faces[place.face as usize];
             let on = |i: usize| place.weights[i] != 0.0;
