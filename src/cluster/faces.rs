@@ -200,9 +200,9 @@ impl Batch {
         let [us, vs] = &mut self.edges;
         for (i, (face, lot)) in self.faces[..inside].iter().zip(&mut self.lots).enumerate() {
             let [p, q, r] = face.map(Corner::local);
-            for k in 0..3 {
-                us[k][i] = q[k] - p[k];
-                vs[k][i] = r[k] - p[k];
+            for (k, (u, v)) in us.iter_mut().zip(vs.iter_mut()).enumerate() {
+                u[i] = q[k] - p[k];
+                v[i] = r[k] - p[k];
             }
             *lot = draw(*face);
         }
@@ -217,12 +217,12 @@ impl Batch {
             let keys = face.map(|corner| table.key(corner.cell()));
             let (at, local) = (keys.map(coordinates), face.map(Corner::local));
             let mut beyond = 0u64;
-            for k in 0..3 {
+            for (k, (us, vs)) in us.iter_mut().zip(vs.iter_mut()).enumerate() {
                 let place = |corner: usize| (at[corner][k] << LOCAL_BITS) + i64::from(local[corner][k]);
                 let (u, v) = (place(1) - place(0), place(2) - place(0));
                 beyond |= (u + SHORT) as u64 | (v + SHORT) as u64;
-                us[k][i] = u as i32;
-                vs[k][i] = v as i32;
+                us[i] = u as i32;
+                vs[i] = v as i32;
             }
             self.lots[i] = draw(face);
             // What is at most SHORT either way has no bit above those of its double now.
@@ -234,14 +234,16 @@ impl Batch {
 
     /// Cross products: exact before they are rounded, so they do not depend on the corner from which the edges start.
     fn cross(&mut self, end: usize) {
-        let [[ux, uy, uz], [vx, vy, vz]] = self.edges.each_ref().map(|e| e.each_ref().map(|lane| &lane[..end]));
-        let minor = |a: i32, d: i32, b: i32, c: i32| a.wrapping_mul(d).wrapping_sub(b.wrapping_mul(c)) as f32;
-        let (x, y, z) = (&mut self.x[..end], &mut self.y[..end], &mut self.z[..end]);
-        for i in 0..end {
-            x[i] = minor(uy[i], vz[i], uz[i], vy[i]) * CROSS_SCALE;
-            y[i] = minor(uz[i], vx[i], ux[i], vz[i]) * CROSS_SCALE;
-            z[i] = minor(ux[i], vy[i], uy[i], vx[i]) * CROSS_SCALE;
-        }
+        let [u, v] = &self.edges;
+        let minor = |to: &mut [f32; BATCH], i: usize, j: usize| {
+            let factors = u[i][..end].iter().zip(&v[j]).zip(u[j].iter().zip(&v[i]));
+            for (to, ((a, d), (b, c))) in to.iter_mut().zip(factors) {
+                *to = a.wrapping_mul(*d).wrapping_sub(b.wrapping_mul(*c)) as f32 * CROSS_SCALE;
+            }
+        };
+        minor(&mut self.x, 1, 2);
+        minor(&mut self.y, 2, 0);
+        minor(&mut self.z, 0, 1);
     }
 
     /// The same for long edges.

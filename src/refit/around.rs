@@ -77,9 +77,9 @@ impl Star {
                 (0..3).for_each(|axis| lanes[i / LANES][axis][i % LANES] = x[axis]);
             }
         }
-        for half in 0..MOST / LANES {
-            self.triangles[half] = Triangles::new(Vec3x8::from_axes(ab[half]), Vec3x8::from_axes(ac[half]));
-            self.normals[half] = Vec3x8::from_axes(normals[half]);
+        for (half, (triangles, normal)) in self.triangles.iter_mut().zip(&mut self.normals).enumerate() {
+            *triangles = Triangles::new(Vec3x8::from_axes(ab[half]), Vec3x8::from_axes(ac[half]));
+            *normal = Vec3x8::from_axes(normals[half]);
         }
     }
 
@@ -99,10 +99,9 @@ impl Star {
             let distances_sq = found.step.dot(found.step).to_array();
             let alike = self.normals[half].dot(n).to_array();
             let beyond = found.weights[0].simd_eq(f32x8::ZERO).to_bitmask();
-            for i in 0..LANES {
-                let nearer = distances_sq[i] < bar_sq && alike[i] > 0.0;
-                if nearer {
-                    let distance = distances_sq[i].sqrt() - ROUNDING * self.long[half * LANES + i];
+            for (i, (&distance_sq, &alike)) in distances_sq.iter().zip(&alike).enumerate() {
+                if distance_sq < bar_sq && alike > 0.0 {
+                    let distance = distance_sq.sqrt() - ROUNDING * self.long[half * LANES + i];
                     bar_sq = if distance > 0.0 { distance * distance } else { 0.0 };
                     best = Some((self.faces[half * LANES + i], beyond >> i & 1 == 1));
                 }

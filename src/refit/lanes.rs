@@ -121,9 +121,9 @@ mod tests {
             let axes = |of: &[Vec3]| Vec3x8::from_axes(std::array::from_fn(|k| std::array::from_fn(|i| of[i][k])));
             let found = Triangles::new(axes(&b), axes(&c)).nearest(Vec3x8::splat(p));
             let (weights, distances_sq) = (found.weights.map(|w| w.to_array()), found.step.dot(found.step).to_array());
-            for i in 0..LANES {
-                let expected = nearest_to_origin([-p, b[i] - p, c[i] - p]);
-                let step = p - expected[1] * b[i] - expected[2] * c[i];
+            for (i, (&b, &c)) in b.iter().zip(&c).enumerate() {
+                let expected = nearest_to_origin([-p, b - p, c - p]);
+                let step = p - expected[1] * b - expected[2] * c;
                 assert!((step.length_squared() - distances_sq[i]).abs() < 1e-5, "{step} {}", distances_sq[i]);
                 let on = |w: [f32; 3]| w.map(|w| w != 0.0);
                 let weights = [weights[0][i], weights[1][i], weights[2][i]];
