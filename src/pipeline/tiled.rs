@@ -11,7 +11,9 @@
 //! 5. Of those collapses, none of which touches another, the cheapest are taken that bring the count to the one asked for.
 //!    Each tile is refitted to its samples, and they are joined.
 //!
-//! Where the second sweep leaves too much another follows; where it leaves too little all is begun again, with a lower cost.
+//! Where a sweep leaves more than a tenth too much another follows, shifted again, to a higher cost: what is at the cuts of the last
+//! one is then hardly denser than the rest. Where that one leaves too little the one before it counts; where the first ones
+//! do, all is begun again, with a lower cost.
 
 use super::{Clock, Intermediate, Run, Source, read_crew};
 use crate::collapse::{self, Carried, Collapsed, Part, Proposal, collapse};
@@ -29,8 +31,11 @@ use rustc_hash::FxHashMap;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// How many times as many faces as are asked for the sweeps are to leave for the last collapses. The pilot is within a tenth.
+/// How many times as many faces as are asked for the first sweeps are to leave. The pilot is within a tenth.
 const SPARE: f64 = 1.25;
+/// How many the last sweep is to leave, and at most: vertices at its cuts are as dense as it left them, and must not stand out.
+const SPARE_AT_END: f64 = 1.05;
+const NEAR_END: f64 = 1.1;
 /// How near to that the pilot is to come.
 const NEAR_ENOUGH: f64 = 0.03;
 /// Collapses of the pilot, at most.
@@ -168,21 +173,33 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         self.run.progress.begin(Stage::Collapse, self.cut.faces.saturating_sub(self.asked));
         let mut between = self.first_sweep(threshold)?;
         let mut lie = Lie::Shifted;
+        let mut before: Option<Tiled<S>> = None;
+        // Whether the last two sweeps went to the same cost, so that what is at the cuts of one was thinned by the other.
+        let mut is_even = true;
         for _ in 0..MOST_SWEEPS {
             let tiled = self.sweep(&between, threshold, lie)?;
-            let removable: u64 = tiled.proposals.iter().map(|offer| u64::from(offer.proposal.faces)).sum();
-            let off = tiled.faces as f64 / (SPARE * self.asked as f64);
+            let times = |spare: f64| tiled.faces as f64 / (spare * self.asked as f64);
+            let is_within_reach = tiled.faces.saturating_sub(tiled.removable()) <= self.asked;
             if tiled.faces < self.asked {
-                threshold.cost *= (off.powf(COST_POWER) as f32).max(1e-6);
+                if let Some(before) = before {
+                    return Ok(before);
+                }
+                threshold.cost *= (times(SPARE).powf(COST_POWER) as f32).max(1e-6);
                 between = self.first_sweep(threshold)?;
-                lie = Lie::Shifted;
-            } else if tiled.faces.saturating_sub(removable) > self.asked {
-                threshold.cost *= off.max(1.05).powf(COST_POWER) as f32;
-                between = self.put_back(tiled)?;
-                lie = lie.other();
-            } else {
+                (lie, is_even) = (Lie::Shifted, true);
+                continue;
+            }
+            let is_near = is_within_reach && times(NEAR_END) <= 1.0;
+            if is_near && is_even {
                 return Ok(tiled);
             }
+            is_even = is_near;
+            if !is_near {
+                threshold.cost *= times(SPARE_AT_END).max(1.05).powf(COST_POWER) as f32;
+            }
+            between = self.put_back(&tiled)?;
+            lie = lie.other();
+            before = Some(tiled).filter(|_| is_within_reach);
         }
         let what = format!("{} faces cannot be reached in tiles", self.asked);
         Err(Error::Unmet { file: self.run.job.input.clone(), what })
@@ -344,7 +361,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// Cuts up again what a sweep has left, for another one.
-    fn put_back(&self, tiled: Tiled<S>) -> Result<Between<S>> {
+    fn put_back(&self, tiled: &Tiled<S>) -> Result<Between<S>> {
         let mut between = self.nothing_between()?;
         for kept in &tiled.tiles {
             let (mesh, _, samples) = tiled.load(kept)?;
@@ -397,6 +414,11 @@ fn centroid([a, b, c]: [DVec3; 3]) -> DVec3 {
 }
 
 impl<S: Coordinate> Tiled<S> {
+    /// Faces that could go in one more step.
+    fn removable(&self) -> u64 {
+        self.proposals.iter().map(|offer| u64::from(offer.proposal.faces)).sum()
+    }
+
     fn keep(&mut self, collapsed: Collapsed<S>, samples: &[SurfaceSample]) -> Result<()> {
         let Collapsed { mesh, locked, proposals, error_estimate, .. } = collapsed;
         let offset = self.file.length();
