@@ -465,7 +465,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
 
         let removed = before - surface.faces.len();
         self.count += 1;
-        let few = |share: usize| removed < before / share && self.options.max_error == f64::INFINITY;
+        let few = |share: usize| (removed == 0 || removed < before / share) && self.options.max_error == f64::INFINITY;
         self.stalled = near && few(STALL);
         self.paired |= few(GROUPS_STALL);
         progress.add(removed as u64);
