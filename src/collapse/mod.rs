@@ -31,7 +31,7 @@
 //! every step is a function of the state before it. No constant depends on the scan's size: coordinates are in the
 //! [`Frame`](crate::mesh::Frame). Topology may change, as in the thesis: holes close, handles vanish.
 //!
-//! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (137 in doubles); compaction is in place.
+//! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (161 in doubles); compaction is in place.
 
 mod batch;
 mod check;
@@ -68,7 +68,7 @@ use glam::DVec3;
 use pieces::Pieces;
 use rayon::prelude::*;
 use std::sync::atomic::AtomicU8;
-use surface::{LOCKED, REFUSED, SEAM, Surface, TOUCHED};
+use surface::{LOCKED, REFUSED, SEAM, Surface, TOUCHED, settled};
 
 /// What steers the collapse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -184,8 +184,7 @@ const STALL: usize = 2000;
 
 /// Bytes of arrays at the peak for a mesh of that many faces and vertices.
 pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
-    let position = 3 * size_of::<S>() as u64;
-    36 * faces + (2 * position + 89) * vertices
+    36 * faces + (12 * size_of::<S>() as u64 + 65) * vertices
 }
 
 /// Bytes a vertex (or wedge) that each number adds that steers.
@@ -404,7 +403,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
                 false => surface.merged(members, widen(batch.spots[v as usize])).c,
                 true => f64::from(surface.cost(&surface.stars, v, members[1], self.options)),
             };
-            ((cost as f32).to_bits(), order(v, v), members.len() - 1)
+            (settled::<S>(cost as f32).to_bits(), order(v, v), members.len() - 1)
         };
         let mut keyed: Vec<_> = leaders.par_iter().with_min_len(256).map_init(Vec::new, key).collect();
         keyed.sort_unstable();

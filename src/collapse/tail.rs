@@ -295,7 +295,7 @@ impl<S: Coordinate> Tail<'_, S> {
         let kept = !self.surface.current.is_empty();
         for &u in ring.iter().chain([&v]).filter(|_| kept) {
             let form = self.surface.form_around(&self.overlay, u, self.options);
-            self.surface.current[u as usize] = form.a.map(|x| x as f32);
+            self.surface.current[u as usize] = form.a.map(S::narrow);
         }
     }
 }
