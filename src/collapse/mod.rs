@@ -130,6 +130,8 @@ pub struct Collapsed<S> {
     pub locked: Vec<u32>,
     /// What became of [`Carried::wedges`].
     pub wedges: Wedges,
+    /// What became of [`Carried::shades`].
+    pub shades: Shades,
     /// Whether seams could not be held to the end.
     pub seams_gave_way: bool,
 }
@@ -255,7 +257,7 @@ pub fn collapse<S: Coordinate>(
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
     let error_estimate = error_sq.sqrt();
     let Followed { reference, homes } = followed;
-    let (wedges, seams_gave_way) = (surface.wedges, surface.seams_give_way);
+    let (wedges, shades, seams_gave_way) = (surface.wedges, surface.shades, surface.seams_give_way);
     let rounds = count;
     Ok(Collapsed {
         mesh,
@@ -268,6 +270,7 @@ pub fn collapse<S: Coordinate>(
         dropped,
         locked,
         wedges,
+        shades,
         seams_gave_way,
     })
 }

@@ -318,6 +318,9 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>) -> Vec<u32> {
             kept += 1;
         }
     }
+    if surface.wedges.is_empty() {
+        surface.shades.keep(numbers.len(), |v| Some(numbers[v]).filter(|new| *new != NONE));
+    }
     surface.positions.truncate(kept);
     surface.marks.truncate(kept);
     for v in surface.faces.iter_mut().flatten() {
