@@ -53,6 +53,7 @@ pub mod carry;
 pub mod cluster;
 pub mod collapse;
 pub mod error;
+mod facets;
 pub mod inspect;
 pub mod job;
 pub mod measure;
@@ -69,6 +70,7 @@ pub mod refit;
 pub mod report;
 pub mod scratch;
 pub mod synth;
+pub mod tiles;
 pub mod write;
 
 pub use error::{Error, Result};

@@ -9,7 +9,7 @@ use crate::cli::{MergeArgs, ReportArgs, ReportCommand, RunArgs, WorkerArgs};
 use crate::terminal::NightScreen;
 use crate::{Saying, conclude, signals, tell_stderr, tell_stdout, working};
 use meshmill::budget::Size;
-use meshmill::job::JobFile;
+use meshmill::job::{JobFile, Span};
 use meshmill::progress::Progress;
 use meshmill::queue::{Night, NightReport, Plan, PlanOptions, Problem, Row, Standing, Status, Totals, Watcher};
 use meshmill::report::{Mode, count, json};
@@ -30,7 +30,10 @@ pub fn run(said: JobFile, args: &RunArgs, in_json: bool) -> ExitCode {
         return conclude(Err(refusal(&plan, &problems)), in_json);
     }
     match go(&plan, &problems) {
-        Ok((report, signal)) => finish(&plan, &report, signal, in_json),
+        Ok((report, page, signal)) => {
+            let said = Said { in_json, keep_going: args.keep_going };
+            finish(&plan, &report, &page, signal, said)
+        }
         Err(error) => conclude(Err(error), in_json),
     }
 }
@@ -60,7 +63,7 @@ fn problem_line(plan: &Plan, problem: &Problem) -> String {
     format!("  {scan}{}", problem.what)
 }
 
-fn go(plan: &Plan, problems: &[Problem]) -> Result<(NightReport, Option<i32>)> {
+fn go(plan: &Plan, problems: &[Problem]) -> Result<(NightReport, PathBuf, Option<i32>)> {
     let signal = signals()?;
     let night = Night::begin(plan, problems)?;
     if night.finished() > 0 {
@@ -69,8 +72,8 @@ fn go(plan: &Plan, problems: &[Problem]) -> Result<(NightReport, Option<i32>)> {
     let mut screen = Screen { screen: NightScreen::new(plan), signal };
     let (report, signal) = night.run(&mut screen)?;
     screen.screen.clear();
-    morning::write(&report, &plan.folder, plan.options.shard)?;
-    Ok((report, signal))
+    let page = morning::write(&report, &plan.folder, plan.options.shard)?;
+    Ok((report, page, signal))
 }
 
 struct Screen<'a> {
@@ -92,8 +95,14 @@ impl Watcher for Screen<'_> {
     }
 }
 
+/// What the command line says of how a night ends.
+struct Said {
+    in_json: bool,
+    keep_going: bool,
+}
+
 /// Says what came of a night.
-fn finish(plan: &Plan, report: &NightReport, signal: Option<i32>, in_json: bool) -> ExitCode {
+fn finish(plan: &Plan, report: &NightReport, page: &Path, signal: Option<i32>, said: Said) -> ExitCode {
     let complete = report.is_complete(plan.options.only.as_deref());
     let mut lines = vec![totals_line(&report.totals)];
     for row in report.rows.iter().filter(|row| matches!(row.status, Status::Failed | Status::Unmet)) {
@@ -103,16 +112,17 @@ fn finish(plan: &Plan, report: &NightReport, signal: Option<i32>, in_json: bool)
     }
     let (peak, bound) = (Size(report.peak_rss_bytes), Size(report.memory));
     lines.push(format!("memory   {peak} at the peak of all processes, of {bound}"));
-    lines.push(format!("report   {}", plan.folder.join("report.html").display()));
+    lines.push(format!("report   {}", page.display()));
     if report.totals.not_begun > 0 {
-        lines.push(format!("resume   meshmill run {}", plan.job_file.display()));
+        let keep_going = if said.keep_going { " --keep-going" } else { "" };
+        lines.push(format!("resume   {}{keep_going}", plan.command()));
     }
     let words = lines.join("\n");
     let code = match signal {
         Some(signal) => 128u8.wrapping_add(signal as u8),
         None => u8::from(!complete),
     };
-    if in_json {
+    if said.in_json {
         tell_stderr(&words);
         return tell_stdout(&json(report), code);
     }
@@ -145,8 +155,10 @@ fn dry_run(plan: &Plan, problems: &[Problem], progress: &Progress) -> Result<Say
                 scratch_bytes = forecast.scratch_bytes.max(scratch_bytes);
                 let mode = if forecast.mode == Mode::InCore { "in core" } else { "out of core" };
                 lines.push(format!(
-                    "scan     {name}: {}, {mode}, about {expected:.0} s, {} → {}",
+                    "scan     {name}: {}, {}, {mode}, {}, {} → {}",
                     count(forecast.faces, "face"),
+                    Size(task.bytes),
+                    about(expected),
                     task.budget,
                     outputs.join(", ")
                 ));
@@ -165,12 +177,19 @@ fn dry_run(plan: &Plan, problems: &[Problem], progress: &Progress) -> Result<Say
         rows.push(row);
     }
     let expected_seconds = seconds / plan.workers as f64;
-    let minutes = expected_seconds / 60.0;
     lines.push(format!(
-        "in all   {}, {} side by side within {}, about {minutes:.1} min",
+        "in all   {}, {} side by side within {}, {}",
         count(plan.tasks.len() as u64, "scan"),
         plan.workers,
         plan.memory,
+        about(expected_seconds),
+    ));
+    let order = serde_json::to_value(plan.order).unwrap_or_default();
+    let limit = plan.scan_seconds.map_or(String::new(), |seconds| format!(", each within {}", Span { seconds }));
+    lines.push(format!(
+        "order    {}{limit}, {} after a failure that may pass",
+        order.as_str().unwrap_or(""),
+        tries(plan)
     ));
     let scratch = Size(scratch_bytes * plan.workers as u64);
     lines.push(format!("disk     about {} of results, {scratch} of scratch at one time", Size(output_bytes)));
@@ -195,11 +214,28 @@ fn dry_run(plan: &Plan, problems: &[Problem], progress: &Progress) -> Result<Say
     Ok(saying)
 }
 
+/// An expected time.
+fn about(seconds: f64) -> String {
+    match seconds {
+        s if s < 1.0 => "less than 1 s".into(),
+        s if s < 120.0 => format!("about {s:.0} s"),
+        s if s < 7200.0 => format!("about {:.0} min", s / 60.0),
+        s => format!("about {:.1} h", s / 3600.0),
+    }
+}
+
+fn tries(plan: &Plan) -> String {
+    match plan.retries {
+        1 => "1 more try".into(),
+        n => format!("{n} more tries"),
+    }
+}
+
 /// `meshmill report merge`
 pub fn merge(args: ReportArgs) -> ExitCode {
     let ReportCommand::Merge(args) = args.command;
-    let outcome = merged(&args).map(|(report, folder)| {
-        let lines = vec![totals_line(&report.totals), format!("report   {}", folder.join("report.html").display())];
+    let outcome = merged(&args).map(|(report, page)| {
+        let lines = vec![totals_line(&report.totals), format!("report   {}", page.display())];
         Saying::new(json(&report), lines)
     });
     conclude(outcome, args.json)
@@ -224,8 +260,8 @@ fn merged(args: &MergeArgs) -> Result<(NightReport, PathBuf)> {
         _ => PathBuf::from("."),
     };
     std::fs::create_dir_all(&folder).map_err(Error::io(&folder, "cannot make this folder"))?;
-    morning::write(&report, &folder, None)?;
-    Ok((report, folder))
+    let page = morning::write(&report, &folder, None)?;
+    Ok((report, page))
 }
 
 /// `meshmill worker`

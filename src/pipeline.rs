@@ -8,6 +8,7 @@ mod inspect;
 mod levels;
 mod portrait;
 mod render;
+mod tiled;
 
 pub use compare::compare;
 pub use effort::Effort;
@@ -23,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
 use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
-use crate::plan::{Ask, Cells, LEAST_RATIO, Purse, most_threads};
+use crate::plan::{Ask, Cells, LOW_RATIO, Purse, Way, most_threads};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, LoadReport, Scalar, Scan, load};
 use crate::refit::{self, Aim, Held, refit};
@@ -35,6 +36,7 @@ use glam::DVec3;
 use portrait::Portrait;
 use std::path::Path;
 use std::time::Instant;
+use tiled::TileStats;
 
 /// Reduces one scan as `job` says, and reports.
 pub fn reduce(job: &Job, progress: &Progress) -> Result<Report> {
@@ -82,6 +84,7 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         shade_bytes: if steering(job, scan).is_some() { 3 * collapse::SHADE_BYTES } else { 0 },
         coat_bytes: if job.carry { coat_bytes(scan) } else { 0 },
         carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
+        is_chain: !job.coarser.is_empty(),
     }
 }
 
@@ -138,6 +141,8 @@ struct Intermediate<S> {
 enum Source {
     Loaded(LoadReport),
     Clustered(ClusterStats),
+    /// Reduced to the end.
+    Tiled(TileStats),
 }
 
 impl Run<'_> {
@@ -153,12 +158,20 @@ impl Run<'_> {
         match source {
             Source::Loaded(_) => seconds.read = opened + clock.lap(),
             Source::Clustered(_) => (seconds.read, seconds.cluster) = (opened, clock.lap()),
+            Source::Tiled(ref stats) => {
+                seconds.read = opened + stats.cut_seconds;
+                seconds.collapse = clock.lap() - stats.cut_seconds - stats.refit_seconds;
+                seconds.refit = stats.refit_seconds;
+            }
         }
         let faces = mesh.faces.len();
         let points: Vec<DVec3> = self.locked.iter().map(|p| p.map(|x| frame.to_frame(x))).collect();
         let options = self.collapse_options(asked, faces, frame, &points, samples.is_some());
         let lengths = self.lengths(&mesh, carried.as_ref(), asked);
-        let collapsed = collapse(mesh, carried, &options, self.progress)?;
+        let collapsed = match source {
+            Source::Tiled(ref stats) => Collapsed::done(mesh, stats.error),
+            _ => collapse(mesh, carried, &options, self.progress)?,
+        };
         let Collapsed { mut mesh, error_estimate, irregularities, reference, homes, dropped, locked, .. } = collapsed;
         let (mut wedges, shades) = (collapsed.wedges, collapsed.shades);
         if dropped.faces == faces as u64 {
@@ -166,14 +179,14 @@ impl Run<'_> {
             return Err(Error::Unmet { file: self.job.input.clone(), what });
         }
         self.check(asked, faces, mesh.faces.len())?;
-        seconds.collapse = clock.lap();
+        seconds.collapse += clock.lap();
         let most = self.purse.samples_at_once(mesh.faces.len() as u64);
         let samples = samples.map(|file| file.load(most, &homes)).transpose()?;
         let aim = Aim { reference: reference.as_ref(), samples: samples.as_ref() };
         let held = Held { locked: &locked, wedges: &mut wedges };
         refit(&mut mesh, &aim, self.job.refit_rounds, held, self.progress)?;
         drop(samples);
-        seconds.refit = clock.lap();
+        seconds.refit += clock.lap();
 
         let mut warnings = self.warnings(asked, &source, faces);
         if dropped.pieces > 0 {
@@ -206,7 +219,9 @@ impl Run<'_> {
                 let ratio = faces as f64 / output.faces.max(1) as f64;
                 (Mode::OutOfCore, Some(stats.occupied_cells), Some(ratio))
             }
+            Source::Tiled(_) => (Mode::OutOfCore, None, None),
         };
+        let tiles = if let Source::Tiled(stats) = &source { Some(stats.tiles) } else { None };
         let references = reference.filter(|_| !coarser.is_empty()).into_iter().collect();
         let outfit = outfit.as_ref();
         let (error, locked) = (error_estimate, &points[..]);
@@ -236,6 +251,7 @@ impl Run<'_> {
             coarser,
             mode,
             cells,
+            tiles,
             ratio,
             threads: self.threads,
             memory_budget_bytes: self.job.memory.0,
@@ -280,8 +296,10 @@ impl Run<'_> {
             let what = format!("{path}: {policy} cannot be kept where the scan has to be clustered first");
             return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
         }
-        let Cells { wanted, most } = self.purse.out_of_core::<S>(self.scan, asked)?;
-        self.clustered(asked, wanted, most)
+        match self.purse.way::<S>(self.scan, asked)? {
+            Way::Clustered(Cells { wanted, most }) => self.clustered(asked, wanted, most),
+            Way::Tiled(plan) => self.tiled(asked.unwrap_or(0), plan),
+        }
     }
 
     /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.
@@ -356,7 +374,10 @@ impl Run<'_> {
             max_error,
             policies: self.job.policies.in_frame(frame),
             locked,
+            last_factor: collapse::LAST_FACTOR,
+            tail_faces: collapse::TAIL_FACES,
             keep_reference: self.purse.keeps_reference(sampled) && target.saturating_mul(refit::LEAST_RATIO) <= faces,
+            part: None,
         }
     }
 
@@ -438,9 +459,12 @@ impl Run<'_> {
                     warnings.push(Warning::CoarsenedGrid { times: stats.overflows, cells: stats.occupied_cells });
                 }
                 let ratio = faces as f64 / asked.unwrap_or(0).max(1) as f64;
-                if asked.is_some() && ratio < 2.0 * LEAST_RATIO {
+                if asked.is_some() && ratio < LOW_RATIO {
                     warnings.push(Warning::LowRatio { ratio });
                 }
+            }
+            Source::Tiled(stats) => {
+                say(stats.repeated_corner_faces, |faces| Warning::RepeatedCornerFaces { faces });
             }
         }
         warnings

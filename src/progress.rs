@@ -50,6 +50,11 @@ impl Progress {
         Progress { signal, ..Default::default() }
     }
 
+    /// One that the same signal cancels and that nobody sees: for steps of a stage that counts something else.
+    pub fn unseen(&self) -> Progress {
+        Progress::cancelled_by(self.signal.clone())
+    }
+
     /// Enters a stage of `total` steps (bytes, vertices or faces, as the stage counts).
     pub fn begin(&self, stage: Stage, total: u64) {
         self.done.store(0, Relaxed);

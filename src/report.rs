@@ -35,6 +35,9 @@ pub struct Report {
     pub mode: Mode,
     /// Cells that clustering filled; `None` in core.
     pub cells: Option<u64>,
+    /// Tiles of the last sweep, where the result was made in tiles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tiles: Option<u64>,
     /// Faces of the intermediate mesh over those of the result; `None` in core.
     pub ratio: Option<f64>,
     /// Worker threads.
@@ -178,7 +181,10 @@ impl Report {
         let ratio = self.ratio.map_or(String::new(), |r| format!(", {r:.1} times the faces of the result"));
         match self.mode {
             Mode::InCore => "in core: the scan fits the budget".into(),
-            Mode::OutOfCore => format!("out of core{cells}{ratio}"),
+            Mode::OutOfCore => {
+                let tiles = self.tiles.map_or(String::new(), |n| format!(", {}", count(n, "tile")));
+                format!("out of core{cells}{tiles}{ratio}")
+            }
         }
     }
 }
@@ -344,6 +350,7 @@ mod tests {
             coarser: Vec::new(),
             mode: Mode::OutOfCore,
             cells: Some(812_345),
+            tiles: None,
             ratio: Some(11.6),
             threads: 2,
             memory_budget_bytes: 256 << 20,
@@ -386,6 +393,7 @@ mod tests {
         let in_core = Report {
             mode: Mode::InCore,
             cells: None,
+            tiles: None,
             ratio: Some(f64::INFINITY),
             error_estimate: Some(f64::NAN),
             peak_rss_bytes: None,

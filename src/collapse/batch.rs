@@ -84,6 +84,11 @@ impl<S: Coordinate> Batch<S> {
         }
     }
 
+    /// The member of a group that comes behind `v`: of a pair the other one.
+    pub fn next_of(&self, v: u32) -> u32 {
+        self.next[v as usize].load(Relaxed)
+    }
+
     /// Takes a group out of the batch.
     pub fn take_back(&self, members: &[u32]) {
         for &v in members {

@@ -5,35 +5,40 @@
 //! vertices in five in one turn, with one look at each edge; a matching takes three turns to move nine in ten of half as
 //! many. Edges are ranked by what their ends have learnt, without current quadrics and without keeping any cost.
 
-use super::Stride;
 use super::batch::{Batch, NONE, hash};
 use super::surface::Surface;
+use super::{Options, Stride};
 use crate::mesh::Coordinate;
 use rayon::prelude::*;
 use std::sync::atomic::Ordering::Relaxed;
 
 /// Chooses groups as large as `stride` allows.
-pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, stride: Stride) {
+pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, stride: Stride, options: &Options) {
     batch.begin(surface.positions.len(), NONE);
-    let costs = prefer(batch, surface);
+    let costs = prefer(batch, surface, options.locks());
     let free = costs.par_iter().with_min_len(4096).filter(|cost| cost.is_finite()).count();
     let limit = super::limit(&costs, (stride.share * free as f64) as u64);
+    let limit = options.part.map_or(limit, |part| limit.min(part.most_cost));
     follow(batch, &costs, limit, stride.longest);
     drop(costs);
     settle(batch, surface);
     batch.take_back_folds(surface, 1);
 }
 
-/// Every vertex looks for its cheapest edge. Returns what it costs.
-fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) -> Vec<f32> {
+/// Every vertex looks for its cheapest edge, where some are locked to one that is not. Returns what it costs.
+fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, locks: bool) -> Vec<f32> {
     let mut costs = vec![f32::INFINITY; surface.positions.len()];
     batch.next.par_iter_mut().zip(&mut costs).enumerate().with_min_len(1024).for_each(|(v, (best, cost))| {
         let v = v as u32;
-        if surface.pieces.is_small(v) {
+        let is_locked = |v: u32| locks && surface.locked(v);
+        if surface.pieces.is_small(v) || is_locked(v) {
             return;
         }
         let mut least = (u64::MAX, NONE);
         let mut look = |u: u32| {
+            if is_locked(u) {
+                return;
+            }
             let cost = surface.rank(v, u);
             let key = u64::from(cost.to_bits()) << 32 | u64::from(hash(v.min(u), v.max(u)));
             least = if key < least.0 { (key, u) } else { least };
@@ -45,6 +50,10 @@ fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) -> Vec<f32>
             if odd {
                 look(q);
             }
+        }
+        // All around are locked.
+        if least.1 == NONE {
+            return;
         }
         *best.get_mut() = least.1;
         *cost = f32::from_bits((least.0 >> 32) as u32);

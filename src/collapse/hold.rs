@@ -13,7 +13,7 @@ impl Options<'_> {
     /// Whether some vertices stay where they are.
     #[inline(always)]
     pub(super) fn locks(&self) -> bool {
-        self.policies.lock_border || !self.locked.is_empty()
+        self.policies.lock_border || !self.locked.is_empty() || self.part.is_some()
     }
 }
 

@@ -83,12 +83,54 @@ pub struct Options<'a> {
     pub locked: &'a [DVec3],
     /// Whether to keep the mesh as it was at ten times the target, and what became of it.
     pub keep_reference: bool,
+    /// From how many times the target on the current faces choose: [`LAST_FACTOR`], or less.
+    pub last_factor: usize,
+    /// Faces that are left to the heap, at least: [`TAIL_FACES`], or fewer.
+    pub tail_faces: usize,
+    /// Where the mesh is a part of a larger one.
+    pub part: Option<Part>,
+}
+
+/// A part of a mesh, cut out to be collapsed alone. What decides is a cost that is the same in all parts: `target` is no count to reach, but
+/// what the part would have if all were thinned alike, which says how far off the end is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part {
+    /// Collapses that cost more are not done.
+    pub most_cost: f32,
+    /// Faces below which it does not go either.
+    pub least: usize,
+    /// Whether to tell what would be done next.
+    pub proposes: bool,
+}
+
+/// A collapse that was not done: `goes` would become `keeps`. No two of a mesh have a vertex in common.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Proposal<S> {
+    /// What it costs.
+    pub cost: f32,
+    /// The vertex that would stay.
+    pub keeps: u32,
+    /// The vertex that would go.
+    pub goes: u32,
+    /// Faces that would go.
+    pub faces: u32,
+    /// Where the vertex that stays would be.
+    pub spot: [S; 3],
 }
 
 impl Options<'_> {
     /// To that many faces, by the default policies.
     pub fn to(target: usize) -> Self {
-        Options { target, max_error: f64::INFINITY, policies: Policies::default(), locked: &[], keep_reference: false }
+        Options {
+            target,
+            max_error: f64::INFINITY,
+            policies: Policies::default(),
+            locked: &[],
+            keep_reference: false,
+            last_factor: LAST_FACTOR,
+            tail_faces: TAIL_FACES,
+            part: None,
+        }
     }
 }
 
@@ -104,6 +146,8 @@ pub struct Carried {
     pub shades: Shades,
     /// What is on either side of seams.
     pub wedges: Wedges,
+    /// Vertices that stay where they are, since other parts of the mesh use them: only of a [`Part`].
+    pub locked: Vec<u32>,
 }
 
 /// The reduced mesh and what happened.
@@ -134,6 +178,29 @@ pub struct Collapsed<S> {
     pub shades: Shades,
     /// Whether seams could not be held to the end.
     pub seams_gave_way: bool,
+    /// What would be done next, if that was asked.
+    pub proposals: Vec<Proposal<S>>,
+}
+
+impl<S> Collapsed<S> {
+    /// A mesh that needs no collapse any more, with such an error.
+    pub fn done(mesh: IndexedMesh<S>, error_estimate: f64) -> Self {
+        Collapsed {
+            mesh,
+            error_estimate,
+            irregularities: Irregularities::default(),
+            reference: None,
+            homes: Vec::new(),
+            rounds: 0,
+            folded: false,
+            dropped: Dropped::default(),
+            locked: Vec::new(),
+            wedges: Wedges::default(),
+            shades: Shades::default(),
+            seams_gave_way: false,
+            proposals: Vec::new(),
+        }
+    }
 }
 
 /// From how many times the target on the current faces choose, and learnt quadrics advise. After a refit, 10 and 7 are no
@@ -171,7 +238,7 @@ const PAIRS_SLACK: f64 = 1.5;
 
 /// Faces that are left to the heap above the target: at least the former, or this share of the target. Where only a few
 /// hundred faces are asked for, each matters, and 1,000 take about 10 ms.
-const TAIL_FACES: usize = 1000;
+pub const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
 
 /// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for more
@@ -224,28 +291,33 @@ pub fn collapse<S: Coordinate>(
     options: &Options,
     progress: &Progress,
 ) -> Result<Collapsed<S>> {
-    let Carried { quadrics, homes, mut shades, mut wedges } = carried.unwrap_or_default();
+    let Carried { quadrics, homes, mut shades, mut wedges, locked } = carried.unwrap_or_default();
     let mut learnt = Some(quadrics).filter(|quadrics| !quadrics.is_empty());
     let least = options.policies.min_component;
     let dropped =
         least.map_or(Dropped::default(), |l| pieces::drop_small(&mut mesh, &mut learnt, &mut shades, &mut wedges, l));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
-    let (mut surface, irregularities) = prepare(mesh, learnt, (shades, wedges), options);
+    let (mut surface, irregularities) = prepare(mesh, learnt, (shades, wedges), &locked, options, progress)?;
     let mut error_sq = largest_error_sq(&surface.learnt);
     let mut rounds = Rounds::new(options, homes);
     while let Some(round_error_sq) = rounds.turn(&mut surface, progress)? {
         error_sq = error_sq.max(round_error_sq);
     }
+    let proposals = match options.part {
+        Some(Part { proposes: true, .. }) => rounds.propose(&mut surface),
+        _ => Vec::new(),
+    };
     let count = rounds.count;
     let mut followed = rounds.followed;
     if options.keep_reference && followed.reference.is_none() {
         followed.reference = Some(surface.reference());
     }
     let mut folded = false;
-    if surface.faces.len() > options.target && options.max_error == f64::INFINITY {
+    if surface.faces.len() > options.target && options.max_error == f64::INFINITY && options.part.is_none() {
         if options.policies.quadrics == Quadrics::Current {
             surface.renew_current(options);
         }
+        surface.evaluate(options, |marks| marks & TOUCHED != 0);
         let end = tail::finish(&mut surface, options, &mut followed, progress)?;
         error_sq = error_sq.max(end.error_sq);
         folded = end.folded;
@@ -272,6 +344,7 @@ pub fn collapse<S: Coordinate>(
         wedges,
         shades,
         seams_gave_way,
+        proposals,
     })
 }
 
@@ -280,11 +353,14 @@ fn prepare<S: Coordinate>(
     mesh: IndexedMesh<S>,
     learnt: Option<Vec<PackedQuadric>>,
     (shades, wedges): (Shades, Wedges),
+    locked: &[u32],
     options: &Options,
-) -> (Surface<S>, Irregularities) {
+    progress: &Progress,
+) -> Result<(Surface<S>, Irregularities)> {
     let n = mesh.positions.len();
     let mut stars = Stars::default();
     stars.rebuild(&mesh.faces, n);
+    progress.check()?;
     let mut surface = Surface {
         costs: Vec::new(),
         faces: mesh.faces,
@@ -299,13 +375,16 @@ fn prepare<S: Coordinate>(
         stars,
     };
     let irregularities = classify::classify(&surface);
+    progress.check()?;
     surface.mark_held(options);
+    locked.iter().for_each(|v| *surface.marks[*v as usize].get_mut() |= LOCKED);
     surface.mark_seams();
     surface.find_pieces();
+    progress.check()?;
     if surface.learnt.is_empty() {
         surface.learn(options);
     }
-    (surface, irregularities)
+    Ok((surface, irregularities))
 }
 
 /// The largest error that the vertices come with: clustering's, zero for the scan itself.
@@ -344,10 +423,14 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
     fn new(options: &'a Options<'a>, homes: Vec<u32>) -> Self {
         let bounded = options.max_error < f64::INFINITY;
         let tail = match options.policies.ends_serially() {
-            false => TAIL_FACES.max((options.target as f64 * TAIL_SHARE) as usize),
+            false => options.tail_faces.max((options.target as f64 * TAIL_SHARE) as usize),
             true => serial_faces(options.target),
         };
-        let floor = if bounded { options.target } else { options.target.saturating_add(tail) };
+        let floor = match options.part {
+            Some(part) => part.least,
+            None if bounded => options.target,
+            None => options.target.saturating_add(tail),
+        };
         let followed = Followed { reference: None, homes };
         Rounds { options, batch: Batch::new(), floor, followed, count: 0, paired: bounded, stalled: false }
     }
@@ -360,29 +443,27 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             return Ok(None);
         }
         let within = |factor: usize| before / factor <= self.options.target;
-        let last = self.paired || within(LAST_FACTOR);
-        let near = last || self.options.policies.by_pairs() || self.options.locks() || surface.is_seamed();
+        let last = self.paired || within(self.options.last_factor);
+        let holds = self.options.locks() && self.options.part.is_none();
+        let near = last || self.options.policies.by_pairs() || holds || surface.is_seamed();
         let most = (before - self.floor).div_ceil(2);
         if self.options.keep_reference && self.followed.reference.is_none() && (last || within(REFERENCE_FACTOR)) {
             self.followed.reference = Some(surface.reference());
         }
         if near {
-            if self.options.policies.quadrics == Quadrics::Current {
-                surface.renew_current(self.options);
-            }
-            surface.evaluate(self.options, |marks| marks & TOUCHED != 0);
-            let wanted = most.min((PAIRS_SHARE * surface.positions.len() as f64) as usize).max(1);
-            let limit = limit(surface.costs.as_flattened(), (PAIRS_SLACK * wanted as f64) as u64);
-            pairs::select(&mut self.batch, surface, limit, self.options);
+            self.pair(surface, most, self.options.part.map_or(f32::INFINITY, |part| part.most_cost));
         } else {
-            groups::select(&mut self.batch, surface, if within(FAR_FACTOR) { MIDDLE } else { FAR });
+            groups::select(&mut self.batch, surface, if within(FAR_FACTOR) { MIDDLE } else { FAR }, self.options);
         }
+        progress.check()?;
         let mut leaders = self.batch.all_leaders();
         self.hold_back(&mut leaders, surface, most, near);
         if leaders.is_empty() && near {
             return Ok(None);
         }
+        progress.check()?;
         let error_sq = commit::commit(surface, &mut self.batch, &leaders, &mut self.followed);
+        progress.check()?;
         surface.stars.rebuild(&surface.faces, surface.positions.len());
 
         let removed = before - surface.faces.len();
@@ -392,6 +473,30 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         self.paired |= few(GROUPS_STALL);
         progress.add(removed as u64);
         Ok(Some(error_sq))
+    }
+
+    /// Chooses pairs that cost at most so much, and of which at most so many are to go.
+    fn pair(&mut self, surface: &mut Surface<S>, most: usize, most_cost: f32) {
+        if self.options.policies.quadrics == Quadrics::Current {
+            surface.renew_current(self.options);
+        }
+        surface.evaluate(self.options, |marks| marks & TOUCHED != 0);
+        let wanted = most.min((PAIRS_SHARE * surface.positions.len() as f64) as usize).max(1);
+        let limit = limit(surface.costs.as_flattened(), (PAIRS_SLACK * wanted as f64) as u64);
+        pairs::select(&mut self.batch, surface, limit.min(most_cost), self.options);
+    }
+
+    /// What one more round of pairs would do, whatever it costs.
+    fn propose(&mut self, surface: &mut Surface<S>) -> Vec<Proposal<S>> {
+        self.pair(surface, usize::MAX, f32::INFINITY);
+        let (surface, batch) = (&*surface, &self.batch);
+        let proposal = |&keeps: &u32| {
+            let goes = batch.next_of(keeps);
+            let cost = surface.cost(&surface.stars, keeps, goes, self.options);
+            let faces = surface.shared(&surface.stars, keeps, goes).count() as u32;
+            Proposal { cost, keeps, goes, faces, spot: batch.spots[keeps as usize] }
+        };
+        batch.all_leaders().par_iter().with_min_len(256).map(proposal).collect()
     }
 
     /// Keeps only the cheapest groups of the batch, so that at most `most` vertices go.

@@ -66,6 +66,7 @@ pub(super) fn finish<S: Coordinate>(
     let becomes = (0..surface.positions.len() as u32).collect();
     let mut tail = Tail { becomes, left, surface, overlay, joins, heap: BinaryHeap::new(), error_sq: 0.0, options };
     if options.policies.primitive == Primitive::Face {
+        tail.surface.costs = Vec::new();
         tail.contract_faces(progress)?;
     }
     let mut need = Need::None;
@@ -119,8 +120,10 @@ pub(super) struct Tail<'a, S> {
 }
 
 impl<S: Coordinate> Tail<'_, S> {
+    /// Every edge, at the cost that the rounds have kept of it where nothing has changed since.
     fn fill_heap(&mut self) {
         let mut entries = Vec::new();
+        let kept = std::mem::take(&mut self.surface.costs);
         for (f, face) in self.surface.faces.iter().enumerate() {
             if face[0] == NONE {
                 continue;
@@ -129,7 +132,9 @@ impl<S: Coordinate> Tail<'_, S> {
                 let (a, b) = (face[i], face[(i + 1) % 3]);
                 let first = || self.surface.shared(&self.overlay, a, b).min() == Some(f as u32);
                 if a < b || first() {
-                    entries.push(self.entry(a, b));
+                    // One that was refused is asked again: its neighbours may have gone since.
+                    let cost = kept.get(f).map(|costs| costs[i]).filter(|cost| *cost < REFUSED);
+                    entries.push(cost.map_or_else(|| self.entry(a, b), |cost| Reverse((cost.to_bits(), order(a, b)))));
                 }
             }
         }

@@ -38,19 +38,18 @@
 //! | a worker | 2.3 MiB, and the windows of a streaming pass | |
 
 mod heatmap;
-mod join;
 mod pass;
 mod patch;
 mod probes;
 mod sample;
 mod sizing;
-mod stream;
 mod tally;
 
 pub use heatmap::Scale;
 pub use sizing::{Needs, bytes_per_worker};
 
 use crate::error::{Error, Result};
+use crate::facets::{Stream, Stride};
 use crate::mesh::boxes::Origin;
 use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh, Tree};
 use crate::progress::Stage;
@@ -59,8 +58,7 @@ use crate::scratch::Scratch;
 use glam::DVec3;
 use pass::{Kept, Measuring, Survey};
 use probes::{Points, Probes};
-use sample::{Spread, Stride, area_of};
-use stream::Stream;
+use sample::{Spread, area_of};
 use tally::{Sum, Tally};
 
 /// Vertices of a mesh that are measured at most when nothing is said.
@@ -236,7 +234,7 @@ impl<S: Coordinate> Run<'_, S> {
         let (streamed, crew, options) = (self.pair.streamed(), self.crew, self.options);
         let tree = Tree::build(self.mesh);
         crew.progress.check()?;
-        let mut probes = self.probes();
+        let mut probes = self.probes()?;
         crew.progress.check()?;
 
         let spare = self.needs.spare(options.array_bytes, self.mesh);
@@ -250,7 +248,7 @@ impl<S: Coordinate> Run<'_, S> {
         }
         let extent = self.in_file_units(&extent);
         self.check_extents(&extent)?;
-        probes.begin_with(&Points::new(points));
+        probes.begin_with(&Points::new(points), || crew.progress.check().is_ok());
         crew.progress.check()?;
 
         let nothing_sq = self.nothing_sq(&extent);
@@ -273,7 +271,7 @@ impl<S: Coordinate> Run<'_, S> {
     }
 
     /// Vertices first (those that are chosen; all of them, if shades are asked for), then samples of the area.
-    fn probes(&self) -> Probes {
+    fn probes(&self) -> Result<Probes> {
         let mesh = self.mesh;
         let stride = self.options.stride(mesh.positions.len() as u64);
         let chosen = |v: &u32| self.options.shades || stride.takes((*v).into());
@@ -285,10 +283,14 @@ impl<S: Coordinate> Run<'_, S> {
             area.add(area_of(b - a, c - a));
         }
         let spread = Spread::new(self.options.samples, area.value(), self.options.seed);
-        for (number, face) in (0..).zip(&mesh.faces) {
+        for (number, face) in (0u32..).zip(&mesh.faces) {
+            if number.is_multiple_of(4096) {
+                self.crew.progress.check()?;
+            }
             spread.over(number, corners(face), |p| points.push(p));
         }
-        Probes::new(points, area.value(), self.origin())
+        self.crew.progress.check()?;
+        Ok(Probes::new(points, area.value(), self.origin()))
     }
 
     /// What the probes have found; with shades, the deviation of each vertex as well.

@@ -2,9 +2,9 @@
 
 use super::patch::{FACES, Patch};
 use super::probes::Probes;
-use super::sample::{Spread, Stride, area_of, scatter};
-use super::stream::{Facet, Sink};
+use super::sample::{Spread, area_of, scatter};
 use super::tally::{Sum, Tally};
+use crate::facets::{Facet, Sink, Stride};
 use crate::mesh::boxes::Origin;
 use crate::mesh::{Coordinate, Extent, Tree};
 use glam::{DVec3, Vec3};

@@ -1,6 +1,6 @@
 //! A few dozen faces that followed one another, under boxes of their own: what streams past the probes.
 
-use super::stream::Facet;
+use crate::facets::Facet;
 use crate::mesh::boxes::{Aabb, Four, Lanes, Origin, loosen};
 use crate::mesh::triangle::distance_sq;
 use glam::DVec3;

@@ -59,9 +59,13 @@ impl Probes {
     }
 
     /// Begins with a distance that the other mesh is known not to be beyond: that to the nearest of some points on it.
-    pub(super) fn begin_with(&mut self, points: &Points) {
+    /// Gives up where `goes_on` says so.
+    pub(super) fn begin_with(&mut self, points: &Points, goes_on: impl Fn() -> bool + Sync) {
         const RUN: usize = 1024;
         self.positions.par_chunks(RUN).zip(self.best.par_chunks(RUN)).for_each(|(positions, best)| {
+            if !goes_on() {
+                return;
+            }
             let mut last = 0;
             for (p, best) in positions.iter().zip(best) {
                 let (nearest, distance_sq) = points.nearest(self.origin.about(*p), last);

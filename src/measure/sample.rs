@@ -4,10 +4,8 @@
 //! every face gets its share, on average exactly, and nobody has to know the faces before it. Within a face they follow a
 //! sequence of low discrepancy from a drawn start. Vertices: every so many, counted by number.
 
+use crate::facets::NUMBER_BITS;
 use glam::DVec3;
-
-/// Bits of a face's number that samples are drawn by. Faces 2²⁹ apart are given the same places, which nobody can see.
-pub(super) const NUMBER_BITS: u32 = 29;
 
 /// How samples are spread over the faces of a mesh.
 #[derive(Debug, Clone, Copy)]
@@ -72,33 +70,6 @@ fn unit(x: u64) -> f64 {
     (x >> 32) as f64 * (1.0 / (1u64 << 32) as f64)
 }
 
-/// Every so many of a mesh's vertices.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Stride {
-    every: u64,
-    /// ⌈2⁶⁴ / every⌉, 0 for 1: tells multiples by one product (Lemire, Kaser and Kurz, 2019).
-    inverse: u64,
-}
-
-impl Stride {
-    /// So that of `vertices` at most `most` are taken.
-    pub(super) fn new(vertices: u64, most: u64) -> Self {
-        let every = vertices.div_ceil(most.max(1)).max(1);
-        Stride { every, inverse: (u64::MAX / every).wrapping_add(1) }
-    }
-
-    /// Whether vertex `v`, of fewer than 2³², is taken.
-    #[inline(always)]
-    pub(super) fn takes(&self, v: u64) -> bool {
-        v.wrapping_mul(self.inverse) <= self.inverse.wrapping_sub(1)
-    }
-
-    /// How many vertices are taken before vertex `v`.
-    pub(super) fn rank(&self, v: u64) -> u64 {
-        v.div_ceil(self.every)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -149,18 +120,5 @@ mod tests {
         assert_eq!(first(1), first(1));
         assert_ne!(first(1), first(2));
         Spread::new(1_000_000, 0.0, 1).over(0, [DVec3::ZERO; 3], |_| panic!("a sample of nothing"));
-    }
-
-    #[test]
-    fn a_stride_takes_every_so_many() {
-        for (vertices, most) in [(10, 10), (11, 10), (200_001, 200_000), (4_000_000_000, 200_000), (5, 0), (1, 7)] {
-            let stride = Stride::new(vertices, most);
-            let every = vertices.div_ceil(u64::max(most, 1));
-            for v in (0..1_000.min(vertices)).chain(vertices.saturating_sub(1_000)..vertices) {
-                assert_eq!(stride.takes(v), v % every == 0, "{v} of {vertices}");
-                assert_eq!(stride.rank(v), v.div_ceil(every));
-            }
-            assert!(stride.rank(vertices) <= most.max(1));
-        }
     }
 }

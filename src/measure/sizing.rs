@@ -1,8 +1,9 @@
 //! What a measurement takes of memory, added up before anything is read.
 
 use super::probes::{Points, Probes};
-use super::{Options, Pair, join, patch, stream, tally};
+use super::{Options, Pair, patch, tally};
 use crate::error::{Error, Result};
+use crate::facets;
 use crate::mesh::{Coordinate, IndexedMesh, Tree};
 use crate::read::{Crew, Layout, Scalar, Scan, load_peak_bytes};
 use std::path::PathBuf;
@@ -37,8 +38,7 @@ const POINTS_SHARE: u64 = 8;
 
 /// Bytes that a worker takes, beside what reading does.
 pub const fn bytes_per_worker() -> usize {
-    let corners = if stream::WORKER_BYTES > join::WORKER_BYTES { stream::WORKER_BYTES } else { join::WORKER_BYTES };
-    corners + size_of::<patch::Patch>() + tally::BYTES
+    facets::bytes_per_worker() + size_of::<patch::Patch>() + tally::BYTES
 }
 
 /// What a measurement takes, in bytes of arrays.
@@ -74,7 +74,7 @@ impl Needs {
         let chosen = options.stride(streamed.vertex_count()).rank(streamed.vertex_count());
         let stream_bytes = match streamed.layout() {
             Layout::Soup => 0,
-            Layout::Indexed => chosen / 8 + join::least_bytes(streamed.vertex_count(), position),
+            Layout::Indexed => chosen / 8 + facets::least_bytes(streamed.vertex_count(), position),
         };
         Needs {
             held: held.path().into(),

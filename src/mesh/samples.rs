@@ -141,6 +141,15 @@ pub struct SurfaceSamples {
     pub area: f64,
 }
 
+impl SurfaceSamples {
+    /// Puts samples in order; those that are near no vertex are left out.
+    pub fn sorted(mut samples: Vec<SurfaceSample>, lattice: Lattice, area: f64) -> Self {
+        samples.retain(|sample| sample.near != NONE);
+        samples.par_sort_unstable_by_key(SurfaceSample::key);
+        SurfaceSamples { samples, lattice, area }
+    }
+}
+
 impl SampleFile {
     /// Reads at most `most` of them back. `vertices` has a vertex for each cell; samples near none are left out.
     pub fn load(&self, most: usize, vertices: &[u32]) -> Result<SurfaceSamples> {
@@ -158,8 +167,7 @@ impl SampleFile {
                 }
             }
         }
-        samples.par_sort_unstable_by_key(SurfaceSample::key);
-        Ok(SurfaceSamples { samples, lattice: self.lattice, area: self.area * f64::from(level).exp2() })
+        Ok(SurfaceSamples::sorted(samples, self.lattice, self.area * f64::from(level).exp2()))
     }
 }
 

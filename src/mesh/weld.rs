@@ -1,6 +1,7 @@
 //! Making one vertex of coincident ones.
 
 use super::{Coordinate, IndexedMesh};
+use crate::error::Result;
 
 /// What [`weld`] found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -13,17 +14,23 @@ pub struct WeldReport {
     pub repeated_corner_faces: u64,
 }
 
+/// Batches between two questions whether to go on.
+const CHECKED_BATCHES: usize = 1 << 12;
+
 /// Welds vertices with equal coordinates, drops faces that then repeat a corner and vertices that no face uses. The first
 /// of coincident vertices stays, orders are kept. In place, with one `u32` a vertex and a hash table of 6 to 12 bytes a
-/// vertex beside it.
-pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>) -> WeldReport {
+/// vertex beside it. `check` is asked now and then whether to go on.
+pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>, check: impl Fn() -> Result<()>) -> Result<WeldReport> {
     let mut report = WeldReport::default();
     let vertices = mesh.positions.len();
 
     let mut first: Vec<u32> = Vec::with_capacity(vertices);
     {
         let mut table = PositionTable::with_room_for(vertices);
-        for batch in mesh.positions.chunks(BATCH) {
+        for (number, batch) in mesh.positions.chunks(BATCH).enumerate() {
+            if number.is_multiple_of(CHECKED_BATCHES) {
+                check()?;
+            }
             let looked_up = table.look_up(batch, &mesh.positions);
             for (p, &look_up) in batch.iter().zip(&looked_up) {
                 let v = first.len() as u32;
@@ -59,7 +66,7 @@ pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>) -> WeldReport {
     for v in mesh.faces.iter_mut().flatten() {
         *v = renumbered[*v as usize];
     }
-    report
+    Ok(report)
 }
 
 const NONE: u32 = u32::MAX;
@@ -184,7 +191,7 @@ mod tests {
             ],
             faces: vec![[1, 2, 3], [4, 5, 6], [1, 4, 2]],
         };
-        let report = weld(&mut mesh);
+        let report = weld(&mut mesh, || Ok(())).unwrap();
         assert_eq!(mesh.faces, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(mesh.positions, [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
         assert_eq!(report, WeldReport { duplicate_vertices: 2, unreferenced_vertices: 1, repeated_corner_faces: 1 });

@@ -14,10 +14,10 @@ use crate::progress::Progress;
 use crate::queue::{NightReport, Shard};
 use crate::report::json;
 use crate::write::WholeFile;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Writes the three files into `folder`; those of a shard have its number in their names.
-pub fn write(report: &NightReport, folder: &Path, shard: Option<Shard>) -> Result<()> {
+/// Writes the three files into `folder`; those of a shard have its number in their names. Where the page is.
+pub fn write(report: &NightReport, folder: &Path, shard: Option<Shard>) -> Result<PathBuf> {
     let part = shard.map_or(String::new(), |Shard { number, of }| format!(".{number}-of-{of}"));
     let progress = Progress::default();
     let file = |ending: &str| WholeFile::prepare(&folder.join(format!("report{part}.{ending}")), None);
@@ -26,7 +26,7 @@ pub fn write(report: &NightReport, folder: &Path, shard: Option<Shard>) -> Resul
     file("csv")?.write(table::csv(report).as_bytes(), &progress)?;
     let html = file("html")?;
     html.write_by(&progress, |sink| page::write(report, folder, &mut |text| sink.put(text.as_bytes())))?;
-    Ok(())
+    Ok(folder.join(format!("report{part}.html")))
 }
 
 /// Text as HTML has it, within elements and in quoted attributes.

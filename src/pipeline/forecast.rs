@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::job::Job;
 use crate::mesh::Coordinate;
 use crate::mesh::columns::{self, Meaning};
-use crate::plan::Purse;
+use crate::plan::{Purse, Way};
 use crate::progress::Progress;
 use crate::read::{Layout, Scalar, Scan};
 use crate::report::Mode;
@@ -40,10 +40,11 @@ fn through<S: Coordinate>(job: &Job, pictures: bool, scan: &Scan) -> Result<Fore
     let faces = scan.triangle_count();
     let asked = job.target.faces(faces);
     let purse = Purse::new(job.memory.0, job.threads, super::ask(job, scan, asked));
-    let mode = match purse.in_core::<S>(scan) {
-        Some(_) => Mode::InCore,
-        None => purse.out_of_core::<S>(scan, asked).map(|_| Mode::OutOfCore)?,
+    let way = match purse.in_core::<S>(scan) {
+        Some(_) => None,
+        None => Some(purse.way::<S>(scan, asked)?),
     };
+    let mode = if way.is_some() { Mode::OutOfCore } else { Mode::InCore };
     let target = asked.map_or(faces, |n| n.min(faces));
     let position = 3 * size_of::<S>() as u64;
     let coarser = job.coarser.iter().filter_map(|level| level.target.faces(faces));
@@ -55,13 +56,16 @@ fn through<S: Coordinate>(job: &Job, pictures: bool, scan: &Scan) -> Result<Fore
         } else {
             13 + position / 2
         });
-    let spilled = match (scan.layout(), mode) {
-        (Layout::Indexed, Mode::OutOfCore) => scan.vertex_count().saturating_mul(15),
+    let spilled = match (scan.layout(), &way) {
+        (_, Some(Way::Tiled(plan))) => plan.scratch_bytes::<S>(faces, target),
+        (Layout::Indexed, Some(Way::Clustered(_))) => scan.vertex_count().saturating_mul(15),
         _ => 0,
     };
     let measured = if job.verify && scan.layout() == Layout::Indexed && mode == Mode::OutOfCore { position } else { 0 };
     let scratch_bytes = spilled.max(scan.vertex_count().saturating_mul(measured));
     let coloured = columns::find::<3>(scan.columns(), Meaning::Colour).is_some();
-    let effort = Effort::of(job, faces, mode, coloured, pictures);
+    // In tiles all faces go through the collapse, as in core.
+    let like = if matches!(way, Some(Way::Tiled(_))) { Mode::InCore } else { mode };
+    let effort = Effort::of(job, faces, like, coloured, pictures);
     Ok(Forecast { faces, vertices: scan.vertex_count(), mode, effort, output_bytes, scratch_bytes })
 }

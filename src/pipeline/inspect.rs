@@ -36,6 +36,7 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
             shade_bytes: if has_colour(&scan) { 3 * collapse::SHADE_BYTES } else { 0 },
             coat_bytes: super::coat_bytes(&scan),
             carry_bytes: super::carry_bytes(&scan, faces),
+            is_chain: false,
         };
         let purse = Purse::new(inspection.memory.0, threads, ask);
         let crew = Crew { workers: purse.workers, progress };
@@ -81,7 +82,7 @@ fn reduction<S: crate::mesh::Coordinate>(scan: &Scan, purse: &Purse, faces: u64)
     let mode = if purse.in_core::<S>(scan).is_some() {
         Some(Mode::InCore)
     } else {
-        purse.out_of_core::<S>(scan, Some(faces)).is_ok().then_some(Mode::OutOfCore)
+        purse.way::<S>(scan, Some(faces)).is_ok().then_some(Mode::OutOfCore)
     };
     let least_bytes = match purse.poorest().out_of_core::<S>(scan, Some(faces)) {
         Err(Error::Budget { needed_bytes, .. }) => needed_bytes,

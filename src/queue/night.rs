@@ -20,8 +20,8 @@ use std::time::{Duration, Instant};
 /// How often processes are looked at.
 const TICK: Duration = Duration::from_millis(100);
 
-/// How long a worker that was told to stop may take.
-const PATIENCE: Duration = Duration::from_secs(12);
+/// How long a worker that was told to stop may take: what it leaves when it is ended then, is swept.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What a scan may take beyond its budget before it is ended: less is the measure's own coarseness.
 const GRACE: f64 = 1.02;

@@ -10,7 +10,8 @@ use crate::job::{Count, DEFAULT_MEMORY, Job, JobFile, Layer, Order, ScanTable, S
 use crate::pipeline::{Effort, Forecast, forecast};
 use crate::progress::Progress;
 use crate::report::Mode;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -176,32 +177,91 @@ impl Plan {
         path.strip_prefix(here).unwrap_or(path)
     }
 
+    /// The command that goes on with this night.
+    pub fn command(&self) -> String {
+        let shard = self.options.shard.map_or(String::new(), |Shard { number, of }| format!(" --shard {number}/{of}"));
+        format!("meshmill run {}{shard}", quoted(&self.job_file))
+    }
+
     /// What cannot work, before anything starts: results that would overwrite one another or a scan, folders that cannot
-    /// be written, disks that are too small.
+    /// be written, disks that are too small. With [`PlanOptions::only`], of those scans alone.
     pub fn check(&self) -> Vec<Problem> {
         let mut problems = self.collisions();
-        let mut folders: BTreeMap<PathBuf, (u64, &Task)> = BTreeMap::new();
-        for task in &self.tasks {
+        let mut folders: BTreeMap<PathBuf, Vec<&Task>> = BTreeMap::new();
+        for task in self.meant() {
             for output in &task.outputs {
                 let folder = existing(output.parent().unwrap_or(Path::new("/")));
-                folders.entry(folder).or_insert((0, task)).0 += task.output_bytes() / task.outputs.len() as u64;
+                folders.entry(folder).or_default().push(task);
+            }
+            if let Some(scratch) = &task.job.run.scratch {
+                folders.entry(existing(scratch)).or_default().push(task);
             }
         }
-        for (folder, (bytes, task)) in folders {
-            if let Err(error) = tempfile::tempfile_in(&folder) {
+        for (folder, tasks) in folders {
+            let Err(error) = tempfile::tempfile_in(&folder) else { continue };
+            let scans: BTreeSet<&Path> = tasks.iter().map(|task| task.scan.as_path()).collect();
+            problems.extend(scans.into_iter().map(|scan| {
                 let what = format!("cannot write into {}: {error}", folder.display());
-                problems.push(Problem { scan: Some(task.scan.clone()), what });
-            } else if let Some(free) = free_bytes(&folder).filter(|free| *free < bytes) {
-                let (bytes, free) = (Size(bytes), Size(free));
-                let what = format!("{}: the results take about {bytes}, and {free} are free", folder.display());
-                problems.push(Problem { scan: None, what });
-            }
+                Problem { scan: Some(scan.into()), what }
+            }));
         }
+        problems.extend(self.small_disks());
         if let Err(error) = tempfile::tempfile_in(existing(&self.folder)) {
             let what = format!("cannot write the ledger into {}: {error}", self.folder.display());
             problems.push(Problem { scan: None, what });
         }
         problems
+    }
+
+    /// The scans that are asked for.
+    fn meant(&self) -> impl Iterator<Item = &Task> {
+        let only = self.options.only.as_deref();
+        self.tasks.iter().filter(move |task| only.is_none_or(|only| task.is_named(only)))
+    }
+
+    /// Disks on which there is less room than all results together take that are still to be made, and the spills of as
+    /// many scans as run side by side.
+    fn small_disks(&self) -> Vec<Problem> {
+        struct Disk {
+            folder: PathBuf,
+            results: u64,
+            there: u64,
+            spills: Vec<u64>,
+        }
+        let mut disks: BTreeMap<u64, Disk> = BTreeMap::new();
+        let mut of = |folder: &Path, add: &dyn Fn(&mut Disk)| {
+            let folder = existing(folder);
+            let Ok(found) = std::fs::metadata(&folder) else { return };
+            let disk = Disk { folder, results: 0, there: 0, spills: Vec::new() };
+            add(disks.entry(found.dev()).or_insert(disk));
+        };
+        for task in self.meant() {
+            for output in &task.outputs {
+                let there = std::fs::metadata(output).map_or(0, |found| found.len());
+                of(output.parent().unwrap_or(Path::new("/")), &|disk| {
+                    disk.results += task.output_bytes() / task.outputs.len() as u64;
+                    disk.there += there;
+                });
+            }
+            let beside = task.outputs.first().and_then(|output| output.parent());
+            if let Some(scratch) = task.job.run.scratch.as_deref().or(beside) {
+                of(scratch, &|disk| disk.spills.push(task.spill_bytes()));
+            }
+        }
+        let too_small = |mut disk: Disk| {
+            disk.spills.sort_unstable_by(|a, b| b.cmp(a));
+            let spills: u64 = disk.spills.iter().take(self.workers).sum();
+            // What is there already is replaced.
+            let needed = disk.results.saturating_sub(disk.there).saturating_add(spills);
+            let free = free_bytes(&disk.folder).filter(|free| *free < needed)?;
+            let (results, spills, free) = (Size(disk.results), Size(spills), Size(free));
+            let folder = disk.folder.display();
+            let what = format!(
+                "{folder}: the results on this disk take about {results} and spills {spills} at one time, and {free} are free"
+            );
+            Some(Problem { scan: None, what })
+        };
+        disks.into_values().filter_map(too_small).collect()
     }
 
     fn collisions(&self) -> Vec<Problem> {
@@ -219,6 +279,7 @@ impl Plan {
                 }
             }
         }
+        problems.retain(|problem| self.meant().any(|task| Some(&task.scan) == problem.scan.as_ref()));
         problems
     }
 
@@ -239,9 +300,7 @@ impl Plan {
         // One that cannot be resolved takes no time.
         let Ok(job) = task.resolved() else { return 0.0 };
         let Glance { faces, coloured } = task.glance;
-        // About 110 bytes a face decide whether it fits.
-        let mode = if faces.saturating_mul(110) < task.budget.0 { Mode::InCore } else { Mode::OutOfCore };
-        Effort::of(&job, faces, mode, coloured, self.pictures).seconds(self.threads_of(task))
+        Effort::of(&job, faces, task.likely_mode(), coloured, self.pictures).seconds(self.threads_of(task))
     }
 }
 
@@ -278,6 +337,19 @@ impl Task {
     /// Whether it is reduced by one thread, beside others.
     pub(super) fn is_small(&self) -> bool {
         self.bytes < SMALL_BYTES
+    }
+
+    /// Whether it has to be clustered, as far as its size tells: about 110 bytes a face decide whether it fits.
+    fn likely_mode(&self) -> Mode {
+        if self.glance.faces.saturating_mul(110) < self.budget.0 { Mode::InCore } else { Mode::OutOfCore }
+    }
+
+    /// About what its spills take: a vertex, of which there is half a one a face, takes 15 where faces come in a sensible
+    /// order. Soup has none.
+    fn spill_bytes(&self) -> u64 {
+        let spills = self.likely_mode() == Mode::OutOfCore && !is_stl(&self.scan);
+        let bytes = if spills { self.glance.faces.saturating_mul(15) / 2 } else { 0 };
+        self.job.run.scratch_quota.map_or(bytes, |Size(quota)| bytes.min(quota))
     }
 
     /// About what the results take.
@@ -406,6 +478,13 @@ fn no_scan(job_file: &Path) -> String {
     format!("{}: no scan is found by any `input`", job_file.display())
 }
 
+/// A path as a shell takes it.
+pub(super) fn quoted(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+=@%,:".contains(c);
+    if !text.is_empty() && text.chars().all(plain) { text.into() } else { format!("'{}'", text.replace('\'', r"'\''")) }
+}
+
 /// The path from the root, with nothing followed.
 fn absolute(path: &Path) -> PathBuf {
     // The folder of a bare file name is the empty path.
@@ -426,4 +505,16 @@ fn absolute(path: &Path) -> PathBuf {
 /// The folder, or the nearest above it that exists.
 fn existing(folder: &Path) -> PathBuf {
     folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/")).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_quoted_where_a_shell_would_take_them_apart() {
+        for (path, text) in [("/a/night-1.toml", "/a/night-1.toml"), ("/a b/it's", r"'/a b/it'\''s'"), ("", "''")] {
+            assert_eq!(quoted(Path::new(path)), text);
+        }
+    }
 }

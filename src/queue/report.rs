@@ -1,7 +1,7 @@
 //! The morning's report, as facts: a row a scan. [`crate::report`] words it.
 
 use super::ledger::{Fingerprint, Ledger};
-use super::plan::{Plan, Task};
+use super::plan::{Plan, Task, quoted};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -147,7 +147,6 @@ impl Row {
 
 /// A command line as a shell takes it.
 fn repeat(job_file: &Path, scan: &Path) -> String {
-    let quoted = |path: &Path| format!("'{}'", path.to_string_lossy().replace('\'', r"'\''"));
     let job_file = std::path::absolute(job_file).unwrap_or_else(|_| job_file.into());
     format!("meshmill run {} --only {}", quoted(&job_file), quoted(scan))
 }

@@ -77,14 +77,19 @@ fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<Loaded<S>
             Ok(())
         },
     )?;
+    let check = || crew.progress.check();
     let mut mesh = IndexedMesh { positions: only(positions), faces: only(faces) };
     let referenced = Bits::of_corners(&mesh);
+    check()?;
     let extent = extent_of(scan, &mesh, &referenced)?;
+    check()?;
     let unreferenced = drop_unreferenced(&mut mesh, &referenced);
     drop(referenced);
+    check()?;
     let frame = Frame::of(&extent);
     scale(&mut mesh, frame);
-    let welded = weld(&mut mesh);
+    let welded = weld(&mut mesh, check)?;
+    check()?;
     let report = LoadReport {
         duplicate_vertices: welded.duplicate_vertices,
         unreferenced_vertices: unreferenced + welded.unreferenced_vertices,
@@ -116,9 +121,11 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) ->
     }
     let Welder { mut mesh, repeated_corner_faces, extent, .. } = welder;
     extent.check(scan.path())?;
+    crew.progress.check()?;
     let referenced = Bits::of_corners(&mesh);
     let unreferenced_vertices = drop_unreferenced(&mut mesh, &referenced);
     let frame = Frame::of(&extent);
+    crew.progress.check()?;
     scale(&mut mesh, frame);
     let flat_faces = flat_faces(&mesh);
     let report = LoadReport { duplicate_vertices: 0, unreferenced_vertices, repeated_corner_faces, flat_faces, extent };

@@ -259,6 +259,29 @@ fn those_that_can_be_done_are_with_keep_going() {
     assert_eq!(row(&object, "text.ply")["error"]["code"], "refused");
     let gone = row(&object, "gone.ply");
     assert!(gone["error"]["message"].as_str().unwrap().contains("cannot open") && gone["tries"] == 1, "{gone}");
+    // What repeats one scan does not stumble over another.
+    assert_eq!(report(&run(&folder, &["--json", "--only", "a/wide.ply"]), 0)["totals"]["done"], 3);
+    let refused = run(&folder, &["--only", "a/text.ply"]);
+    assert!(refused.status.code() == Some(2) && String::from_utf8_lossy(&refused.stderr).contains("cannot write"));
+}
+
+#[test]
+fn folders_of_one_disk_share_its_room() {
+    let folder = archive();
+    let df = Command::new("df").args(["--output=avail", "-B1"]).arg(folder.path("")).output().unwrap();
+    let free: u64 = String::from_utf8_lossy(&df.stdout).lines().last().unwrap().trim().parse().unwrap();
+    // Half of each is two fifths of what is free: two have room, three have not.
+    let job = JOB.replace("faces = [800, 200]", "ratio = 0.5");
+    for (name, code) in [("x", 0), ("a/y", 0), ("a/b/z", 2)] {
+        let path = folder.file(&format!("scans/{name}.stl"), b"");
+        fs::File::options().write(true).open(path).unwrap().set_len(free / 5 * 4).unwrap();
+        folder.file("night.toml", job.replace("'scans/**/*.{ply,stl}'", "['scans/x.stl', 'scans/a/**/[yz].stl']"));
+        let output = run(&folder, &["--dry-run", "--json"]);
+        let plan: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let problems = plan["plan"]["problems"].to_string();
+        assert_eq!(problems.contains("on this disk"), code == 2, "{name}: {problems}");
+        assert_eq!(output.status.code(), Some(code), "{problems}");
+    }
 }
 
 #[test]

@@ -6,8 +6,7 @@
 //! are asked for, a sweep over the ranges brings the last position. 16, then 24, then 32 bytes a face of scratch (36 and 56
 //! in doubles), the second freed behind the third, beside 12 (24) bytes a vertex.
 
-use super::sample::Stride;
-use super::stream::{Choice, Facet, Feed, Idle, Place, Spill, tag};
+use super::{Choice, Facet, Feed, Idle, Place, Spill, Stride, tag};
 use crate::error::Result;
 use crate::mesh::{Coordinate, widen};
 use crate::read::{Crew, Scan};

@@ -1,66 +1,72 @@
-//! The mesh that is not held: its faces, with the positions of their corners, as often as they are asked for.
+//! Faces with the positions of their corners, as often as they are asked for, of a mesh that memory need not hold.
 //!
 //! A soup brings its positions along. Of an indexed mesh the positions are read once, in the scalar of the file: into
 //! memory where they fit; else to scratch, and faces that come in a sensible order gather them through a few pages for each
 //! worker, while faces in any other order are joined to them (`join.rs`).
 
-use super::join::Join;
-use super::sample::{NUMBER_BITS, Stride};
+mod join;
+mod stride;
+
 use crate::error::{Error, Result};
 use crate::mesh::{Coordinate, Frame, narrow, widen};
 use crate::read::{Crew, Layout, Scan};
 use crate::scratch::{Scratch, ScratchFile};
 use glam::DVec3;
+use join::Join;
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard};
+pub use stride::Stride;
+
+/// Bits of a face's number that a facet keeps.
+pub(crate) const NUMBER_BITS: u32 = 29;
 
 /// A face on its way.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Facet {
+pub(crate) struct Facet {
     tag: u32,
     /// In the frame of the mesh that is held.
-    pub(super) corners: [DVec3; 3],
+    pub(crate) corners: [DVec3; 3],
 }
 
 impl Facet {
     /// A face by its tag.
-    pub(super) fn new(tag: u32, corners: [DVec3; 3]) -> Self {
+    pub(crate) fn new(tag: u32, corners: [DVec3; 3]) -> Self {
         Facet { tag, corners }
     }
 
     /// The face's number, as far as samples are drawn by it.
     #[inline(always)]
-    pub(super) fn number(&self) -> u32 {
+    pub(crate) fn number(&self) -> u32 {
         self.tag & ((1 << NUMBER_BITS) - 1)
     }
 
     /// Whether a corner is a vertex to be measured, here and nowhere else.
     #[inline(always)]
-    pub(super) fn is_chosen(&self, corner: usize) -> bool {
+    pub(crate) fn is_chosen(&self, corner: usize) -> bool {
         self.tag >> (NUMBER_BITS + corner as u32) & 1 != 0
     }
 }
 
 /// A face's number and which of its corners are chosen.
 #[inline(always)]
-pub(super) fn tag(number: u64, mut is_chosen: impl FnMut(usize) -> bool) -> u32 {
+pub(crate) fn tag(number: u64, mut is_chosen: impl FnMut(usize) -> bool) -> u32 {
     let chosen = (0..3).fold(0, |bits, corner| bits | u32::from(is_chosen(corner)) << corner);
     number as u32 & ((1 << NUMBER_BITS) - 1) | chosen << NUMBER_BITS
 }
 
 /// Takes faces; one a worker.
-pub(super) trait Sink: Send {
+pub(crate) trait Sink: Send {
     /// Some faces that follow one another, at most [`BATCH`].
     fn take(&mut self, faces: &[Facet]);
 }
 
 /// Faces in a delivery, at most.
-pub(super) const BATCH: usize = 512;
+pub(crate) const BATCH: usize = 512;
 
 /// A sink with the faces that are on their way to it, and what was found on the way. Sinks of all kinds are fed by the
 /// same code: what that costs once a batch is nothing, and the passes over every format are compiled once.
-pub(super) struct Feed<'a> {
+pub(crate) struct Feed<'a> {
     sink: &'a mut dyn Sink,
     faces: Vec<Facet>,
     /// The first vertex that a face uses and that is not finite.
@@ -73,7 +79,7 @@ impl<'a> Feed<'a> {
     }
 
     #[inline(always)]
-    pub(super) fn push(&mut self, facet: Facet) {
+    pub(crate) fn push(&mut self, facet: Facet) {
         self.faces.push(facet);
         if self.faces.len() == BATCH {
             self.deliver();
@@ -81,33 +87,33 @@ impl<'a> Feed<'a> {
     }
 
     /// Hands over what has gathered.
-    pub(super) fn deliver(&mut self) {
+    pub(crate) fn deliver(&mut self) {
         self.sink.take(&self.faces);
         self.faces.clear();
     }
 
     #[cold]
-    pub(super) fn miss(&mut self, vertex: u32) {
+    pub(crate) fn miss(&mut self, vertex: u32) {
         self.wild = Some(self.wild.map_or(vertex, |v| v.min(vertex)));
     }
 }
 
 /// Feeds that wait for a worker.
-pub(super) struct Idle<'a>(Mutex<Vec<Feed<'a>>>);
+pub(crate) struct Idle<'a>(Mutex<Vec<Feed<'a>>>);
 
 impl<'a> Idle<'a> {
     /// The feed of a worker.
-    pub(super) fn take(&self) -> Feed<'a> {
+    pub(crate) fn take(&self) -> Feed<'a> {
         self.lock().pop().expect("there is a feed for every worker")
     }
 
     /// Feeds that their workers no longer need.
-    pub(super) fn put(&self, feeds: Vec<Feed<'a>>) {
+    pub(crate) fn put(&self, feeds: Vec<Feed<'a>>) {
         self.lock().extend(feeds);
     }
 
     /// All feeds, once no worker has one.
-    pub(super) fn take_all(&self) -> Vec<Feed<'a>> {
+    pub(crate) fn take_all(&self) -> Vec<Feed<'a>> {
         std::mem::take(&mut *self.lock())
     }
 
@@ -117,20 +123,20 @@ impl<'a> Idle<'a> {
 }
 
 /// Which vertices are to be measured, and which of them have been met: an unused one never is.
-pub(super) struct Choice {
+pub(crate) struct Choice {
     stride: Stride,
     met: Vec<AtomicU64>,
 }
 
 impl Choice {
     /// Of `vertices`, those that `stride` takes. An eighth of a byte for each.
-    pub(super) fn new(vertices: u64, stride: Stride) -> Self {
+    pub(crate) fn new(vertices: u64, stride: Stride) -> Self {
         Choice { stride, met: bytemuck::zeroed_vec(stride.rank(vertices).div_ceil(64) as usize) }
     }
 
     /// Whether this is the first time that a chosen vertex is met.
     #[inline(always)]
-    pub(super) fn meets(&self, vertex: u32) -> bool {
+    pub(crate) fn meets(&self, vertex: u32) -> bool {
         self.stride.takes(vertex.into()) && self.meets_first(self.stride.rank(vertex.into()))
     }
 
@@ -147,12 +153,12 @@ const PAGE: usize = 512;
 const PAGES: usize = 128;
 
 /// Bytes of a worker: its pages and the batch on its way.
-pub(super) const WORKER_BYTES: usize = PAGES * PAGE * 24 + BATCH * size_of::<Facet>();
+pub(crate) const WORKER_BYTES: usize = PAGES * PAGE * 24 + BATCH * size_of::<Facet>();
 
 /// Positions on scratch, as the file has them.
-pub(super) struct Spill<T> {
+pub(crate) struct Spill<T> {
     file: ScratchFile,
-    pub(super) vertices: u64,
+    pub(crate) vertices: u64,
     scalar: PhantomData<T>,
 }
 
@@ -168,7 +174,7 @@ impl<T: Coordinate> Spill<T> {
     }
 
     /// Reads consecutive positions.
-    pub(super) fn read(&self, first: u64, positions: &mut [[T; 3]]) -> Result<()> {
+    pub(crate) fn read(&self, first: u64, positions: &mut [[T; 3]]) -> Result<()> {
         self.file.read_exact_at(bytemuck::cast_slice_mut(positions), first * size_of::<[T; 3]>() as u64)
     }
 }
@@ -209,13 +215,13 @@ impl<'a, T: Coordinate> PageCache<'a, T> {
 
 /// What positions are brought into: the frame of the mesh that is held.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
-    pub(super) frame: Frame,
+pub(crate) struct Place {
+    pub(crate) frame: Frame,
 }
 
 impl Place {
     #[inline(always)]
-    pub(super) fn of<T: Coordinate>(&self, p: [T; 3]) -> DVec3 {
+    pub(crate) fn of<T: Coordinate>(&self, p: [T; 3]) -> DVec3 {
         let p = widen(p);
         DVec3::new(self.frame.to_frame(p.x), self.frame.to_frame(p.y), self.frame.to_frame(p.z))
     }
@@ -230,7 +236,7 @@ enum Corners<T> {
 }
 
 /// The mesh that streams.
-pub(super) struct Stream<'a, T> {
+pub(crate) struct Stream<'a, T> {
     scan: &'a Scan,
     place: Place,
     stride: Stride,
@@ -244,7 +250,7 @@ const COHERENT: f64 = 0.3;
 
 impl<'a, T: Coordinate> Stream<'a, T> {
     /// Makes positions ready, with at most `resident_bytes` of them in memory.
-    pub(super) fn open(
+    pub(crate) fn open(
         scan: &'a Scan,
         crew: &Crew,
         scratch: &Scratch,
@@ -271,7 +277,7 @@ impl<'a, T: Coordinate> Stream<'a, T> {
 
     /// Streams every face to sinks, one a worker. Faces that repeat a vertex are passed over. With `choose`, chosen
     /// vertices are marked at one of their corners.
-    pub(super) fn faces<K: Sink>(&self, crew: &Crew, choose: bool, sink: impl Fn() -> K) -> Result<Vec<K>> {
+    pub(crate) fn faces<K: Sink>(&self, crew: &Crew, choose: bool, sink: impl Fn() -> K) -> Result<Vec<K>> {
         let mut sinks: Vec<K> = (0..crew.workers.max(1)).map(|_| sink()).collect();
         self.feed(crew, choose, sinks.iter_mut().map(|sink| sink as &mut dyn Sink).collect())?;
         Ok(sinks)
@@ -356,6 +362,16 @@ impl<'a, T: Coordinate> Stream<'a, T> {
             },
         )
     }
+}
+
+/// Bytes that a worker takes, beside what reading does.
+pub(crate) const fn bytes_per_worker() -> usize {
+    if WORKER_BYTES > join::WORKER_BYTES { WORKER_BYTES } else { join::WORKER_BYTES }
+}
+
+/// The fewest bytes of positions that an indexed scan needs in memory, whatever the order of its faces.
+pub(crate) fn least_bytes(vertices: u64, position_bytes: u64) -> u64 {
+    join::least_bytes(vertices, position_bytes)
 }
 
 /// What positions take in memory.

@@ -1,0 +1,204 @@
+//! The blocks that a scan is cut into, and the tiles that they make up.
+
+use crate::error::Result;
+use crate::mesh::{Coordinate, Extent, Frame};
+use crate::read::{Crew, Layout, Scan};
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+/// Blocks along a side of a tile, and by how many of them the tiles of every other sweep are shifted.
+const BLOCKS_A_TILE: u32 = 8;
+const SHIFT: u32 = BLOCKS_A_TILE / 2;
+
+/// Bits of a block's number along an axis.
+const BITS: u32 = 20;
+const MASK: u64 = (1 << BITS) - 1;
+
+/// Steps within a block, along an axis, that the order of faces tells apart, as a power of two.
+const CURVE_BITS: u32 = 13;
+
+/// The lowest 21 bits, two zeros behind each.
+#[inline]
+fn spread(x: u64) -> u64 {
+    let x = x & 0x1f_ffff;
+    let x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+/// Blocks along the longest side of the scan at first: few enough to be counted one by one.
+const FIRST: u32 = 128;
+/// How much smaller blocks become where a tile would hold too much, and how often.
+const FINER: f64 = 4.0;
+const TURNS: u32 = 5;
+
+/// How many times as many faces as were estimated a tile may turn out to have.
+const MARGIN: f64 = 1.15;
+
+/// How the tiles of a sweep lie: every other sweep has those that were cut in the middle of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lie {
+    /// A tile begins where the blocks do.
+    Straight,
+    /// Half a tile further.
+    Shifted,
+}
+
+impl Lie {
+    /// That of the next sweep.
+    pub fn other(self) -> Lie {
+        match self {
+            Lie::Straight => Lie::Shifted,
+            Lie::Shifted => Lie::Straight,
+        }
+    }
+
+    /// The tile that a block is in.
+    #[inline]
+    pub fn tile(self, block: u64) -> u64 {
+        let shift = if self == Lie::Shifted { SHIFT } else { 0 };
+        let along = |axis: u32| u64::from(((block >> (axis * BITS) & MASK) as u32 + shift) / BLOCKS_A_TILE);
+        along(0) | along(1) << BITS | along(2) << (2 * BITS)
+    }
+}
+
+/// Cubes of one size, numbered along each axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Blocks {
+    least: DVec3,
+    side: f64,
+    per_side: f64,
+}
+
+impl Blocks {
+    fn new(least: DVec3, side: f64) -> Self {
+        Blocks { least, side, per_side: 1.0 / side }
+    }
+
+    /// The block that a point is in, or is nearest to.
+    #[inline]
+    pub fn of(&self, p: DVec3) -> u64 {
+        let steps = ((p - self.least) * self.per_side).clamp(DVec3::ZERO, DVec3::splat(MASK as f64));
+        steps.x as u64 | (steps.y as u64) << BITS | (steps.z as u64) << (2 * BITS)
+    }
+
+    /// The block that a face is in: that of its centroid.
+    #[inline]
+    pub(super) fn of_face(&self, [a, b, c]: [DVec3; 3]) -> u64 {
+        self.of((a + b + c) / 3.0)
+    }
+
+    /// Where a point is along a curve through space, as finely as faces differ within a tile.
+    #[inline]
+    pub(super) fn along_curve(&self, p: DVec3) -> u64 {
+        let steps = (p - self.least) * (self.per_side * f64::from(1 << CURVE_BITS));
+        let spread = |x: f64| spread(x as i64 as u64);
+        spread(steps.x) | spread(steps.y) << 1 | spread(steps.z) << 2
+    }
+
+    /// Where a point is in its piece, from 0 to 1: of a block along a side there are so many `pieces`.
+    pub fn within(&self, p: DVec3, pieces: f64) -> DVec3 {
+        ((p - self.least) * (self.per_side * pieces)).fract()
+    }
+}
+
+/// A block as a place in file: its numbers fit any coordinate.
+pub(super) fn numbers<S: Coordinate>(block: u64) -> [S; 3] {
+    std::array::from_fn(|axis| S::narrow((block >> (axis as u32 * BITS) & MASK) as f64))
+}
+
+/// The block of such numbers.
+pub(super) fn numbered<S: Coordinate>(numbers: [S; 3]) -> u64 {
+    numbers.iter().rev().fold(0, |block, x| block << BITS | x.widen() as u64)
+}
+
+/// The box of all finite vertices, in the file's units.
+pub fn extent(scan: &Scan, crew: &Crew) -> Result<Extent> {
+    let found = match scan.layout() {
+        Layout::Indexed => scan.vertices(crew, Extent::default, |extent, chunk| {
+            chunk.positions.iter().for_each(|p| extent.include(DVec3::from(*p)));
+            Ok(())
+        })?,
+        Layout::Soup => scan.soup(crew, Extent::default, |extent, chunk| {
+            chunk.triangles.as_flattened().iter().for_each(|p| extent.include(DVec3::from(*p)));
+            Ok(())
+        })?,
+    };
+    let extent = found.into_iter().fold(Extent::default(), Extent::union);
+    extent.check(scan.path())?;
+    Ok(extent)
+}
+
+/// Counts by block.
+type Counts = FxHashMap<u64, u32>;
+
+/// Blocks of which tiles of either lie hold at most `most` faces; `None` where there are none.
+pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most: u64) -> Result<Option<Blocks>> {
+    let place = |p: [f64; 3]| DVec3::from(p.map(|x| frame.to_frame(x)));
+    let (min, max) = (place(extent.min.to_array()), place(extent.max.to_array()));
+    let size = (max - min).max_element().max(f64::MIN_POSITIVE);
+    let each = match scan.layout() {
+        Layout::Indexed => scan.triangle_count() as f64 / scan.vertex_count().max(1) as f64,
+        Layout::Soup => 1.0,
+    };
+    let mut side = size * (1.0 + 1e-9) / f64::from(FIRST);
+    for _ in 0..TURNS {
+        let counts = count(scan, crew, &place, &Blocks::new(min, side))?;
+        // From tiles that hold all down to those of the finest blocks.
+        let mut coarsenings = (0..=FIRST.ilog2()).rev().flat_map(|power| (4..=7).rev().map(move |n| (n << power) / 4));
+        let fits = |n: &u32| f64::from(heaviest(&counts, *n)) * each * MARGIN <= most as f64;
+        if let Some(coarsening) = coarsenings.find(fits) {
+            return Ok(Some(Blocks::new(min, side * f64::from(coarsening))));
+        }
+        side /= FINER;
+        if size / side > MASK as f64 {
+            break;
+        }
+    }
+    Ok(None)
+}
+
+/// Vertices of a scan, or first corners of its faces, by block.
+fn count(scan: &Scan, crew: &Crew, place: &(impl Fn([f64; 3]) -> DVec3 + Sync), blocks: &Blocks) -> Result<Counts> {
+    let add = |counts: &mut Counts, p: [f64; 3]| {
+        let p = place(p);
+        if p.is_finite() {
+            *counts.entry(blocks.of(p)).or_insert(0) += 1;
+        }
+    };
+    let found = match scan.layout() {
+        Layout::Indexed => scan.vertices(crew, Counts::default, |counts, chunk| {
+            chunk.positions.iter().for_each(|p| add(counts, *p));
+            Ok(())
+        })?,
+        Layout::Soup => scan.soup(crew, Counts::default, |counts, chunk| {
+            chunk.triangles.iter().for_each(|face| add(counts, face[0]));
+            Ok(())
+        })?,
+    };
+    Ok(found
+        .into_iter()
+        .reduce(|mut all, counts| {
+            counts.into_iter().for_each(|(block, n)| *all.entry(block).or_insert(0) += n);
+            all
+        })
+        .unwrap_or_default())
+}
+
+/// The cube of so many blocks along each side that a block is in.
+pub fn cube(block: u64, blocks: u32) -> u64 {
+    let along = |axis: u32| (block >> (axis * BITS) & MASK) / u64::from(blocks);
+    along(0) | along(1) << BITS | along(2) << (2 * BITS)
+}
+
+/// The most that a tile holds, of either lie, if so many blocks were one along each side.
+fn heaviest(counts: &Counts, coarsening: u32) -> u32 {
+    let heaviest = |lie: Lie| {
+        let mut tiles = Counts::default();
+        counts.iter().for_each(|(block, n)| *tiles.entry(lie.tile(cube(*block, coarsening))).or_insert(0) += n);
+        tiles.into_values().max().unwrap_or(0)
+    };
+    heaviest(Lie::Straight).max(heaviest(Lie::Shifted))
+}

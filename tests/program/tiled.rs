@@ -1,0 +1,54 @@
+//! Results that are larger than what clustering has room for are made in tiles: exact counts, no cracks, the same bytes by any
+//! number of threads, within the budget, and about as close as in core.
+
+use crate::support::{Folder, Kind, Ply, torus};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// 240,000 faces to 60,000: in tiles within 24 MiB.
+const FACES: &str = "60000";
+const TIGHT: &str = "24MiB";
+
+fn tiled(folder: &Folder, scan: &Path, more: &[&str]) -> serde_json::Value {
+    let outcome = folder.reduce(scan, &[&["--faces", FACES, "--memory", TIGHT], more].concat());
+    assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
+    assert!(outcome.object["tiles"].as_u64().unwrap() > 1, "{}", outcome.object);
+    outcome.object
+}
+
+#[test]
+fn a_closed_scan_stays_closed_and_has_the_count() {
+    let folder = Folder::new();
+    let scan = folder.scan("torus", &torus(400, 300), Kind::Floats);
+    let report = tiled(&folder, &scan, &[]);
+    let (peak, budget) = (report["peak_rss_bytes"].as_u64(), report["memory_budget_bytes"].as_u64());
+    assert!(peak <= budget, "{report}");
+    let ply = Ply::read(&folder.out());
+    assert!((59_999..=60_000).contains(&ply.faces.len()), "{}", ply.faces.len());
+    let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
+    for face in &ply.faces {
+        for i in 0..3 {
+            let (a, b) = (face[i], face[(i + 1) % 3]);
+            *edges.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
+        }
+    }
+    assert!(edges.values().all(|balance| *balance == 0), "an edge is open or turned");
+    // A torus has as many vertices and faces as edges.
+    assert_eq!(ply.vertices.len() + ply.faces.len(), edges.len());
+}
+
+#[test]
+fn threads_and_the_order_of_faces_change_nothing() {
+    let folder = Folder::new();
+    let mesh = torus(400, 300);
+    let scan = folder.scan("torus", &mesh, Kind::Floats);
+    tiled(&folder, &scan, &["--threads", "1"]);
+    let bytes = std::fs::read(folder.out()).unwrap();
+    for threads in ["2", "5"] {
+        tiled(&folder, &scan, &["--threads", threads]);
+        assert!(std::fs::read(folder.out()).unwrap() == bytes, "{threads} threads");
+    }
+    let shuffled = folder.scan("shuffled", &mesh.with_shuffled_faces(), Kind::Floats);
+    tiled(&folder, &shuffled, &[]);
+    assert!(std::fs::read(folder.out()).unwrap() == bytes, "shuffled faces");
+}
