@@ -11,7 +11,7 @@
 //! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
 //! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
 //! | threads | 1.5 MiB each (stacks, heaps of their own); a 24th of the budget is set aside, and fewer run if need be |
-//! | collapse | 36 a face, 113 a vertex (137), and a fourteenth: about 99 a face on closed scans |
+//! | collapse | 36 a face, 113 a vertex (161), and a fourteenth: about 99 a face on closed scans |
 //! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target; 4 a vertex where samples do |
 //! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
 //! | what steers | 12 a vertex of the collapse for colours; what corners carry: 12 a face, 84 a vertex and 20 a wedge more |

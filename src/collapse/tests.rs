@@ -257,6 +257,20 @@ fn carried_quadrics_are_used() {
 }
 
 #[test]
+fn numbers_that_steer_are_those_of_the_result() {
+    // A level that goes on from here is steered by them.
+    let mesh = grid(40, |x, y| 0.1 * (5.0 * x).sin() * y);
+    let values = mesh.positions.iter().flat_map(|[x, y, _]| [0.01 * x, 0.02 * y]).collect();
+    let carried = Carried { shades: Shades { dims: 2, values }, ..Carried::default() };
+    let found = collapse(mesh, Some(carried), &options(200), &Progress::default()).unwrap();
+    assert_eq!(found.shades.values.len(), 2 * found.mesh.positions.len());
+    for (v, [x, y, _]) in (0u32..).zip(found.mesh.positions) {
+        let [s, t] = [found.shades.of(v)[0] / 0.01, found.shades.of(v)[1] / 0.02];
+        assert!((s - x).abs() < 0.02 && (t - y).abs() < 0.02, "{s} {t} at {x} {y}");
+    }
+}
+
+#[test]
 fn a_speck_far_away_is_kept_and_one_close_by_goes() {
     let mut scan = sphere(40, 0.002);
     let mut speck = |x: f32| {
