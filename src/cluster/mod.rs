@@ -309,10 +309,10 @@ impl Run<'_> {
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
         self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
         self.stats.unreferenced_vertices = used.unused(self.scan.vertex_count());
-        drop(used);
         for mut feed in feeds {
             feed.sink.flush();
         }
+        drop(used);
         let samples = sampler.map(Sampler::finish).transpose()?;
         if table.is_full() {
             drop((table, sums, survivors));

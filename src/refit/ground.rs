@@ -27,7 +27,7 @@ pub(super) struct Place {
 const LONGEST_WALK: usize = 64;
 
 /// Differences of distances below this share of a face's side are rounding.
-const ROUNDING: f32 = 4e-6;
+pub(super) const ROUNDING: f32 = 4e-6;
 
 /// Gains that differ from [`ROUNDING`] by less than this share of it are worked out in doubles: singles are that far off.
 const UNSURE: f32 = 0.1;
@@ -75,7 +75,7 @@ impl<S: Coordinate> Ground<'_, S> {
     }
 
     /// Steps across the edge or the corner that the place is on, as long as that is nearer.
-    fn walk(&self, mut place: Place, point: [S; 3], normal: Vec3) -> Place {
+    pub fn walk(&self, mut place: Place, point: [S; 3], normal: Vec3) -> Place {
         for _ in 0..LONGEST_WALK {
             let face = self.mesh.faces[place.face as usize];
             let on = |i: usize| place.weights[i] != 0.0;

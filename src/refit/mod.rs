@@ -18,8 +18,10 @@
 //! reference of [`LEAST_RATIO`] times the result that is 96 for each of its faces; the collapse before took 112. Samples of the
 //! scan are [`BYTES_A_SAMPLE`] each.
 
+mod around;
 mod flip;
 mod ground;
+mod lanes;
 mod samples;
 mod system;
 mod turned;
@@ -32,10 +34,12 @@ use crate::progress::{Progress, Stage};
 use flip::Wanted;
 use glam::Vec3;
 use ground::Ground;
+use lanes::{LANES, Triangles, Vec3x8};
 use rayon::prelude::*;
 use samples::{Evidence, Point, Samples, Scanned};
-use system::{Block, System};
+use system::{Block, System, Wishes};
 use turned::is_against;
+use wide::f32x8;
 
 /// No face, no vertex.
 const NONE: u32 = u32::MAX;
@@ -196,12 +200,7 @@ fn blocks<S: Coordinate>(
 ) -> Vec<Block> {
     let block = |f: usize| {
         let normal = ground.normal(f as u32);
-        let mut block = Block::new(normal.normalize_or_zero());
-        for &k in samples.of(f) {
-            let point = evidence.point(k);
-            let place = ground.on_face(point.at, f as u32);
-            block.add(point.normal.length(), place.weights, -place.step);
-        }
+        let mut block = ask(ground, evidence, samples, f);
         let Some(fine) = back else { return block };
         for weights in BACK {
             let point = Point::on(ground.mesh, f, weights);
@@ -214,6 +213,26 @@ fn blocks<S: Coordinate>(
         block
     };
     (0..ground.mesh.faces.len()).into_par_iter().with_min_len(64).map(block).collect()
+}
+
+/// What its samples ask of one face, eight of them at a time.
+fn ask<S: Coordinate>(ground: Ground<S>, evidence: &impl Evidence<S>, samples: &Samples, f: usize) -> Block {
+    let [a, b, c] = ground.mesh.faces[f].map(|v| ground.mesh.positions[v as usize]);
+    let (ab, ac) = (step(a, b), step(a, c));
+    let triangles = Triangles::new(Vec3x8::splat(ab), Vec3x8::splat(ac));
+    let mut wishes = Wishes::default();
+    for few in samples.of(f).chunks(LANES) {
+        let (mut axes, mut weights) = ([[0.0; LANES]; 3], [0.0; LANES]);
+        for (i, &k) in few.iter().enumerate() {
+            let point = evidence.point(k);
+            let at = step(a, point.at);
+            (0..3).for_each(|axis| axes[axis][i] = at[axis]);
+            weights[i] = point.normal.length();
+        }
+        let found = triangles.nearest(Vec3x8::from_axes(axes));
+        wishes.add(f32x8::from(weights), found.weights, found.step);
+    }
+    wishes.of_face(ab.cross(ac).normalize_or_zero())
 }
 
 /// Moves the vertices, as far as no face turns too far or over.
