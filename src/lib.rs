@@ -3,8 +3,9 @@
 //! ```text
 //!            ┌ fits the budget ──→ load, weld ──────────────────┐
 //!  scan ─→ read                                                 ├─→ collapse ─→ refit ─→ write
-//!            └ does not ──→ cluster: bin, sum, place, carry ────┘
-//!                           quadrics over
+//!            ├ does not ──→ cluster: bin, sum, place, carry ────┘
+//!            │              quadrics over
+//!            └ nor does what is asked ──→ tiles ⇄ collapse ─→ refit ─→ join ─→ write
 //!
 //!  two meshes ─→ read ─→ measure: hold the smaller, stream the larger
 //! ```
@@ -15,6 +16,7 @@
 //! |---|---|---|
 //! | [`read`] | a mapped file of any format, unpacked if need be | chunks of vertices, triangles or soup; or the whole scan, welded |
 //! | [`cluster`] | those chunks | an intermediate mesh of about ten times the result's size, a quadric a vertex, samples of the surface |
+//! | [`tiles`] | those chunks, or a mesh | the same cut up on scratch, a tile at a time |
 //! | [`collapse`] | a mesh, quadrics | the mesh that was asked for |
 //! | [`refit`] | that mesh, and samples of the scan or a finer mesh | the same mesh, closer to the scan |
 //! | [`carry`] | the scan, that mesh | what vertices, corners and faces carry, for the mesh's |
@@ -27,7 +29,7 @@
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
 //! [`progress`] → [`error`]. Stages do not import one another, save that `cluster`, `carry`, `measure`, `inspect` and `picture`
-//! stream through `read`; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
+//! stream through `read`, `measure` and `tiles` by way of `facets`, which brings faces the positions of their corners; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
 //! tables are sized from the scan and the budget; what threads share is summed in integers; every step of the collapse is a

@@ -167,12 +167,13 @@ impl Run<'_> {
         let faces = mesh.faces.len();
         let points: Vec<DVec3> = self.locked.iter().map(|p| p.map(|x| frame.to_frame(x))).collect();
         let options = self.collapse_options(asked, faces, frame, &points, samples.is_some());
+        let lengths = self.lengths(&mesh, carried.as_ref(), asked);
         let collapsed = match source {
             Source::Tiled(ref stats) => Collapsed::done(mesh, stats.error),
             _ => collapse(mesh, carried, &options, self.progress)?,
         };
         let Collapsed { mut mesh, error_estimate, irregularities, reference, homes, dropped, locked, .. } = collapsed;
-        let mut wedges = collapsed.wedges;
+        let (mut wedges, shades) = (collapsed.wedges, collapsed.shades);
         if dropped.faces == faces as u64 {
             let what = "every piece is smaller than the least component asked for".into();
             return Err(Error::Unmet { file: self.job.input.clone(), what });
@@ -223,7 +224,8 @@ impl Run<'_> {
         let tiles = if let Source::Tiled(stats) = &source { Some(stats.tiles) } else { None };
         let references = reference.filter(|_| !coarser.is_empty()).into_iter().collect();
         let outfit = outfit.as_ref();
-        let chain = levels::Chain { mesh, frame, references, error: error_estimate, locked: &points, wedges, outfit };
+        let (error, locked) = (error_estimate, &points[..]);
+        let chain = levels::Chain { mesh, frame, references, error, locked, wedges, shades, lengths, outfit };
         let mut coarser = self.coarser(chain, coarser, &mut clock, &mut seconds, &mut warnings)?;
         let mut portrait = self.begin_portrait(&mut warnings)?;
         seconds.render = clock.lap();

@@ -11,7 +11,7 @@
 //! | out of core, summing | 81 a cell (soups: 116), 12 a surviving face, 8 a vertex where these fit in what is left |
 //! | out of core, placing | 141 a cell (153), 12 a face; nothing is streaming any more |
 //! | threads | 1.5 MiB each (stacks, heaps of their own); a 24th of the budget is set aside, and fewer run if need be |
-//! | collapse | 36 a face, 113 a vertex (137), and a fourteenth: about 99 a face on closed scans |
+//! | collapse | 36 a face, 113 a vertex (161), and a fourteenth: about 99 a face on closed scans |
 //! | and its reference | 12 a face, 16 a vertex (28) where it begins within twenty times the target; 4 a vertex where samples do |
 //! | its last steps | 96 a face that is asked for, where those of the rounds' lists that are gone are not as much |
 //! | what steers | 12 a vertex of the collapse for colours; what corners carry: 12 a face, 84 a vertex and 20 a wedge more |
@@ -20,8 +20,18 @@
 //! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
 //! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
 //!
-//! The intermediate mesh is [`AIM`] times as large as the result where that fits, and at least [`LEAST_RATIO`] times:
-//! below that clustering does most of the reduction and the result is no better than clustering's.
+//! The intermediate mesh is [`AIM`] times as large as the result where that fits. Below [`LOW_RATIO`] times clustering would do most of
+//! the reduction, and the result be little better than clustering's: then the scan is cut into tiles on scratch, each
+//! small enough to be collapsed ([`TilePlan`]). What cannot be done in tiles (coarser meshes of the result) is clustered down
+//! to [`LEAST_RATIO`].
+//!
+//! | in tiles | resident |
+//! |---|---|
+//! | cutting up | what a pass takes, a quarter of the rest for vertices' positions and a quarter for what writers sort |
+//! | first sweep | 99 (120) a face of a tile, and 20 a sample of it |
+//! | sweeps after it | the same of what is left, 44 a sample |
+//! | last step | 180 a face of a tile's result, 44 a sample; 20 a face of the whole for the collapses that are chosen from |
+//! | joining, writing | 18 (24) a face of the result |
 
 use crate::budget::MIB;
 use crate::cluster::{self, MeshLimit};
@@ -133,9 +143,10 @@ const LEAST_TILE_SAMPLES: f64 = 6.0;
 /// the last collapses are chosen.
 const TILE_SLACK: f64 = 1.6;
 /// What is known of the last collapses, for each face of the result.
-const PROPOSAL_BYTES: f64 = 12.0;
-/// The fewest faces of a tile.
-const LEAST_TILE_FACES: u64 = 20_000;
+const PROPOSAL_BYTES: f64 = 20.0;
+/// The fewest faces of the result in a tile, since vertices at its cuts stay: E_avg is 1.34 times that in core with 170 of them, 1.03 with
+/// 4,800, 1.006 with 17,000.
+const LEAST_TILE_FACES: f64 = 2000.0;
 
 /// What is to be paid for.
 #[derive(Debug, Clone, Copy, Default)]
@@ -336,7 +347,9 @@ impl Purse {
         let faces = (left / a_face).max(0.0) as u64;
         let streaming = self.while_streaming();
         let workers = most_threads(self.bytes) as u64;
-        let fits = whole <= arrays && self.carrying_bytes::<S>(scan) <= self.for_arrays() && faces >= LEAST_TILE_FACES;
+        let fits = whole <= arrays
+            && self.carrying_bytes::<S>(scan) <= self.for_arrays()
+            && share * faces as f64 >= LEAST_TILE_FACES;
         fits.then(|| TilePlan {
             faces,
             samples: (samples * target as f64) as u64,

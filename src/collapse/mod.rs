@@ -31,7 +31,7 @@
 //! every step is a function of the state before it. No constant depends on the scan's size: coordinates are in the
 //! [`Frame`](crate::mesh::Frame). Topology may change, as in the thesis: holes close, handles vanish.
 //!
-//! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (137 in doubles); compaction is in place.
+//! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (161 in doubles); compaction is in place.
 
 mod batch;
 mod check;
@@ -68,7 +68,7 @@ use glam::DVec3;
 use pieces::Pieces;
 use rayon::prelude::*;
 use std::sync::atomic::AtomicU8;
-use surface::{LOCKED, REFUSED, SEAM, Surface, TOUCHED};
+use surface::{LOCKED, REFUSED, SEAM, Surface, TOUCHED, settled};
 
 /// What steers the collapse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -174,6 +174,8 @@ pub struct Collapsed<S> {
     pub locked: Vec<u32>,
     /// What became of [`Carried::wedges`].
     pub wedges: Wedges,
+    /// What became of [`Carried::shades`].
+    pub shades: Shades,
     /// Whether seams could not be held to the end.
     pub seams_gave_way: bool,
     /// What would be done next, if that was asked.
@@ -194,6 +196,7 @@ impl<S> Collapsed<S> {
             dropped: Dropped::default(),
             locked: Vec::new(),
             wedges: Wedges::default(),
+            shades: Shades::default(),
             seams_gave_way: false,
             proposals: Vec::new(),
         }
@@ -250,8 +253,7 @@ const STALL: usize = 2000;
 
 /// Bytes of arrays at the peak for a mesh of that many faces and vertices.
 pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
-    let position = 3 * size_of::<S>() as u64;
-    36 * faces + (2 * position + 89) * vertices
+    36 * faces + (12 * size_of::<S>() as u64 + 65) * vertices
 }
 
 /// Bytes a vertex (or wedge) that each number adds that steers.
@@ -327,7 +329,7 @@ pub fn collapse<S: Coordinate>(
     let mesh = IndexedMesh { positions: surface.positions, faces: surface.faces };
     let error_estimate = error_sq.sqrt();
     let Followed { reference, homes } = followed;
-    let (wedges, seams_gave_way) = (surface.wedges, surface.seams_give_way);
+    let (wedges, shades, seams_gave_way) = (surface.wedges, surface.shades, surface.seams_give_way);
     let rounds = count;
     Ok(Collapsed {
         mesh,
@@ -340,6 +342,7 @@ pub fn collapse<S: Coordinate>(
         dropped,
         locked,
         wedges,
+        shades,
         seams_gave_way,
         proposals,
     })
@@ -465,7 +468,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
 
         let removed = before - surface.faces.len();
         self.count += 1;
-        let few = |share: usize| removed < before / share && self.options.max_error == f64::INFINITY;
+        let few = |share: usize| (removed == 0 || removed < before / share) && self.options.max_error == f64::INFINITY;
         self.stalled = near && few(STALL);
         self.paired |= few(GROUPS_STALL);
         progress.add(removed as u64);
@@ -508,7 +511,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
                 false => surface.merged(members, widen(batch.spots[v as usize])).c,
                 true => f64::from(surface.cost(&surface.stars, v, members[1], self.options)),
             };
-            ((cost as f32).to_bits(), order(v, v), members.len() - 1)
+            (settled::<S>(cost as f32).to_bits(), order(v, v), members.len() - 1)
         };
         let mut keyed: Vec<_> = leaders.par_iter().with_min_len(256).map_init(Vec::new, key).collect();
         keyed.sort_unstable();

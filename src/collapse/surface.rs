@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
 pub(super) const REFUSED: f32 = f32::MAX;
 
 /// Arrays of one mesh: 24 bytes a face (faces, costs), 12 more for the stars; 70 a vertex, 24 more once the current
-/// quadrics are kept.
+/// quadrics are kept (82 and 48 in doubles).
 pub(super) struct Surface<S> {
     pub faces: Vec<[u32; 3]>,
     /// Cost of the edge that leaves each corner; infinite where another corner answers for the edge. Empty far from the
@@ -24,8 +24,9 @@ pub(super) struct Surface<S> {
     /// What each vertex has learnt of the scan: the sum of the quadrics of all it stands for, about its position.
     pub learnt: Vec<PackedQuadric>,
     /// `A` of the faces that now meet at each vertex, about its position (so `b` and `c` are zero). Empty far
-    /// from the target.
-    pub current: Vec<[f32; 6]>,
+    /// from the target. In the file's scalar: a vertex's place along a flat is the quotient of what is nearly nothing, and the
+    /// last bit of a single is felt there.
+    pub current: Vec<[S; 6]>,
     /// Attributes as lengths, where they steer; else empty.
     pub shades: Shades,
     /// What corners are on either side of seams, where there are seams; else empty.
@@ -136,6 +137,9 @@ impl<S: Coordinate> Surface<S> {
         if policies.penalises() {
             candidate.cost += self.penalty(around, a, b, pa + half + candidate.step, policies);
         }
+        if S::DOUBLE {
+            candidate.cost = above_rounding(candidate.cost, learnt.w * half.length_squared());
+        }
         candidate
     }
 
@@ -169,7 +173,7 @@ impl<S: Coordinate> Surface<S> {
     /// the whole edge, so that `A·half` vanishes for them.
     #[inline(always)]
     fn current_form(&self, around: &impl Around, a: u32, b: u32, half: DVec3, options: &Options) -> Quadric {
-        let form = |v: u32| Quadric { a: self.current[v as usize].map(f64::from), ..Default::default() };
+        let form = |v: u32| Quadric { a: self.current[v as usize].map(S::widen), ..Default::default() };
         let (qa, qb) = (form(a), form(b));
         let (ga, gb) = (qa.product(half), qb.product(half));
         let mut q = qa + qb;
@@ -277,7 +281,7 @@ impl<S: Coordinate> Surface<S> {
     /// What an edge's collapse costs, [`REFUSED`] at most.
     #[inline(always)]
     pub fn cost(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> f32 {
-        let cost = self.pieces.price(a, self.candidate(around, a, b, options).cost as f32);
+        let cost = self.pieces.price(a, settled::<S>(self.candidate(around, a, b, options).cost as f32));
         if cost < REFUSED { cost } else { REFUSED }
     }
 
@@ -348,10 +352,11 @@ impl<S: Coordinate> Surface<S> {
     #[inline(always)]
     pub fn rank(&self, a: u32, b: u32) -> f32 {
         let half = 0.5 * step(self.positions[a as usize], self.positions[b as usize]);
-        let mut cost = least_of_three(&self.learnt[a as usize], &self.learnt[b as usize], half);
+        let mut cost = least_of_three::<S>(&self.learnt[a as usize], &self.learnt[b as usize], half);
         if self.is_shaded() {
             cost += self.shade_rank(a, b);
         }
+        let cost = settled::<S>(cost);
         if cost < REFUSED { cost } else { REFUSED }
     }
 
@@ -369,12 +374,12 @@ impl<S: Coordinate> Surface<S> {
     pub fn renew_current(&mut self, options: &Options) {
         let mut current = std::mem::take(&mut self.current);
         let all = current.is_empty();
-        current.resize(self.positions.len(), [0.0; 6]);
+        current.resize(self.positions.len(), [S::narrow(0.0); 6]);
         let this = &*self;
         current.par_iter_mut().enumerate().with_min_len(1024).for_each(|(v, form)| {
             let v = v as u32;
             if all || this.mark(v) & TOUCHED != 0 {
-                *form = this.form_around(&this.stars, v, options).a.map(|x| x as f32);
+                *form = this.form_around(&this.stars, v, options).a.map(S::narrow);
             }
         });
         self.current = current;
@@ -392,6 +397,32 @@ impl<S: Coordinate> Surface<S> {
             return self.positions[if step.dot(self.at(b) - self.at(a)) > 0.0 { b } else { a } as usize];
         }
         narrow(0.5 * (self.at(a) + self.at(b)) + step)
+    }
+}
+
+/// In doubles costs are multiples of this share of what an edge's planes would cost if they stood across it: less is what
+/// the quadrics, kept in singles, round off.
+const STEP: f64 = 1.0 / (1 << 24) as f64;
+
+/// Bits of a cost in singles that do not count in doubles. On models with many edges alike (a sphere by latitude and longitude,
+/// CT surfaces) none, or 6 with twice the step, leave ties to rounding; 13 with sixteen times the step put scans apart
+/// again that differ in the last bits of their doubles, by edges that are no ties.
+const DROPPED: u32 = 8;
+
+/// A cost without what is below rounding, of at most `most`. Edges that are alike then cost the same, wherever the scan lies;
+/// which of them goes first is left to their hash.
+#[inline(always)]
+fn above_rounding(cost: f64, most: f64) -> f64 {
+    let most = STEP * (1u64 << 52) as f64 * most;
+    (cost + most) - most
+}
+
+/// A cost to as many bits as count.
+#[inline(always)]
+pub(super) fn settled<S: Coordinate>(cost: f32) -> f32 {
+    match S::DOUBLE {
+        true => f32::from_bits((cost.to_bits() + (1 << (DROPPED - 1))) >> DROPPED << DROPPED),
+        false => cost,
     }
 }
 
@@ -436,7 +467,7 @@ fn subtract(q: &mut Quadric, o: &Quadric) {
 /// The least value of a sum of quadrics at the middle between their origins and at both of them, `half` away. In single
 /// precision, like the quadrics: it only ranks.
 #[inline(always)]
-fn least_of_three(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
+fn least_of_three<S: Coordinate>(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
     let (x, y, z) = (half.x, half.y, half.z);
     let squares = [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z];
     // Written out: as a map over the array it is a call an element where the compiler cuts units unluckily (12 % of all).
@@ -449,6 +480,10 @@ fn least_of_three(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
     let at_p = 2.0 * qb + 4.0 * qa;
     let at_q = 2.0 * pb + 4.0 * pa;
     let least = |a: f32, b: f32| if a < b { a } else { b };
-    let cost = p.c + q.c + least(middle, least(at_p, at_q));
+    let mut cost = p.c + q.c + least(middle, least(at_p, at_q));
+    if S::DOUBLE {
+        let most = (STEP * (1u64 << 23) as f64) as f32 * (p.w + q.w) * (s[0] + s[3] + s[5]);
+        cost = (cost + most) - most;
+    }
     if cost > 0.0 { cost } else { 0.0 }
 }

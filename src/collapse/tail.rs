@@ -300,7 +300,7 @@ impl<S: Coordinate> Tail<'_, S> {
         let kept = !self.surface.current.is_empty();
         for &u in ring.iter().chain([&v]).filter(|_| kept) {
             let form = self.surface.form_around(&self.overlay, u, self.options);
-            self.surface.current[u as usize] = form.a.map(|x| x as f32);
+            self.surface.current[u as usize] = form.a.map(S::narrow);
         }
     }
 }
@@ -322,6 +322,9 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>) -> Vec<u32> {
             *number = kept as u32;
             kept += 1;
         }
+    }
+    if surface.wedges.is_empty() {
+        surface.shades.keep(numbers.len(), |v| Some(numbers[v]).filter(|new| *new != NONE));
     }
     surface.positions.truncate(kept);
     surface.marks.truncate(kept);

@@ -257,6 +257,20 @@ fn carried_quadrics_are_used() {
 }
 
 #[test]
+fn numbers_that_steer_are_those_of_the_result() {
+    // A level that goes on from here is steered by them.
+    let mesh = grid(40, |x, y| 0.1 * (5.0 * x).sin() * y);
+    let values = mesh.positions.iter().flat_map(|[x, y, _]| [0.01 * x, 0.02 * y]).collect();
+    let carried = Carried { shades: Shades { dims: 2, values }, ..Carried::default() };
+    let found = collapse(mesh, Some(carried), &options(200), &Progress::default()).unwrap();
+    assert_eq!(found.shades.values.len(), 2 * found.mesh.positions.len());
+    for (v, [x, y, _]) in (0u32..).zip(found.mesh.positions) {
+        let [s, t] = [found.shades.of(v)[0] / 0.01, found.shades.of(v)[1] / 0.02];
+        assert!((s - x).abs() < 0.02 && (t - y).abs() < 0.02, "{s} {t} at {x} {y}");
+    }
+}
+
+#[test]
 fn a_speck_far_away_is_kept_and_one_close_by_goes() {
     let mut scan = sphere(40, 0.002);
     let mut speck = |x: f32| {
@@ -541,4 +555,41 @@ fn noise_goes_before_shape() {
     let off = |faces| off_cube(&reduce_by(&scan, faces, accumulated).mesh);
     let (all, some, few) = (off_cube(&scan), off(2000), off(200));
     assert!(some < all && few < 0.6 * all, "{all} of the scan, {some} at 2000 faces, {few} at 200");
+}
+
+#[test]
+fn a_part_ends_at_its_cost_and_keeps_what_is_locked() {
+    let part = |most_cost, proposes| Options { part: Some(Part { most_cost, least: 0, proposes }), ..Options::to(20) };
+    let collapsed = |mesh: &IndexedMesh<f32>, locked: Vec<u32>, options: &Options| {
+        collapse(mesh.clone(), Some(Carried { locked, ..Carried::default() }), options, &Progress::default()).unwrap()
+    };
+    // A few faces that cost too much: nothing is done, and it ends.
+    let tetrahedron = IndexedMesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        faces: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+    };
+    assert_eq!(collapsed(&tetrahedron, Vec::new(), &part(1e-9, false)).mesh, tetrahedron);
+    // Locked vertices stay, and nothing that is proposed moves one.
+    let mesh = sphere(20, 0.0);
+    let locked: Vec<u32> = (0..mesh.positions.len() as u32).step_by(7).collect();
+    let positions: Vec<_> = locked.iter().map(|v| mesh.positions[*v as usize]).collect();
+    let fine = collapsed(&mesh, locked.clone(), &part(1e-5, true));
+    let coarse = collapsed(&mesh, locked, &part(1e-3, true));
+    assert!(coarse.mesh.faces.len() < fine.mesh.faces.len() && fine.mesh.faces.len() < mesh.faces.len());
+    for done in [&fine, &coarse] {
+        let mut kept: Vec<_> = done.locked.iter().map(|v| done.mesh.positions[*v as usize]).collect();
+        let mut expected = positions.clone();
+        let order = |a: &[f32; 3], b: &[f32; 3]| a.partial_cmp(b).unwrap();
+        kept.sort_by(order);
+        expected.sort_by(order);
+        assert_eq!(kept, expected);
+        assert!(!done.proposals.is_empty());
+        let mut ends: Vec<u32> = done.proposals.iter().flat_map(|p| [p.keeps, p.goes]).collect();
+        ends.sort_unstable();
+        assert!(ends.windows(2).all(|pair| pair[0] != pair[1]), "two have a vertex in common");
+        for proposal in &done.proposals {
+            let held = [proposal.keeps, proposal.goes].into_iter().find(|v| done.locked.contains(v));
+            assert!(held.is_none_or(|v| done.mesh.positions[v as usize] == proposal.spot));
+        }
+    }
 }

@@ -62,7 +62,9 @@ pub struct Frame {
 impl Frame {
     /// The frame in which the longest side of `extent` is in `[0.5, 1)`; the identity for a point or nothing at all.
     pub fn of(extent: &Extent) -> Self {
-        let side = extent.size().max_element();
+        // Where a scan is moved far away, its longest side rounds: by no more than this, so that a power of two gives the
+        // same frame there.
+        let side = extent.size().max_element() * (1.0 + 1e-6);
         if !(side > 0.0 && side.is_finite()) {
             return Frame::default();
         }

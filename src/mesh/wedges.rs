@@ -75,6 +75,11 @@ impl Shades {
         &mut self.values[i as usize * self.dims..][..self.dims]
     }
 
+    /// Makes all of them so many times as large.
+    pub fn scale(&mut self, factor: f64) {
+        self.values.iter_mut().for_each(|x| *x = (f64::from(*x) * factor) as f32);
+    }
+
     /// Keeps those of the numbers `i` for which `number` has a new one, which is never larger.
     pub fn keep(&mut self, count: usize, number: impl Fn(usize) -> Option<u32>) {
         let (dims, mut kept) = (self.dims, 0);

@@ -74,6 +74,22 @@ impl Run<'_> {
         Ok((Some(carried), Some(Outfit { worn, wardrobe, missing })))
     }
 
+    /// What a full range of a number that steers is worth, for the result and for each coarser one after it: none where
+    /// nothing steers them.
+    pub(super) fn lengths<S: Coordinate>(
+        &self,
+        mesh: &IndexedMesh<S>,
+        carried: Option<&Carried>,
+        asked: Option<u64>,
+    ) -> Vec<f64> {
+        let coarser = &self.job.coarser;
+        if coarser.is_empty() || carried.is_none_or(|carried| carried.shades.is_empty()) {
+            return Vec::new();
+        }
+        let levels = coarser.iter().map(|level| level.target.faces(self.scan.triangle_count()));
+        std::iter::once(asked).chain(levels).map(|asked| range_length(mesh, asked)).collect()
+    }
+
     /// What clustering's result is to be steered by.
     pub(super) fn mean_shades<S: Coordinate>(
         &self,

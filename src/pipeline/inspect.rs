@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::inspect::inspect as look_through;
 use crate::job::{DEFAULT_REFIT_ROUNDS, Inspection};
 use crate::mesh::columns::{self, Meaning};
-use crate::plan::{Ask, Purse, most_threads, streaming_budget};
+use crate::plan::{Ask, Purse, Way, most_threads, streaming_budget};
 use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scalar, Scan};
 use crate::report::{
@@ -79,12 +79,10 @@ fn has_colour(scan: &Scan) -> bool {
 /// What a reduction to so many faces would take, asked of the plan that would make it.
 fn reduction<S: crate::mesh::Coordinate>(scan: &Scan, purse: &Purse, faces: u64) -> ReductionFigures {
     let in_core_bytes = purse.in_core_budget::<S>(scan);
-    let mode = if purse.in_core::<S>(scan).is_some() {
-        Some(Mode::InCore)
-    } else {
-        purse.way::<S>(scan, Some(faces)).is_ok().then_some(Mode::OutOfCore)
-    };
-    let least_bytes = match purse.poorest().out_of_core::<S>(scan, Some(faces)) {
+    let fits = purse.in_core::<S>(scan).is_some();
+    let way = purse.way::<S>(scan, Some(faces)).ok();
+    let mode = if fits { Some(Mode::InCore) } else { way.map(|_| Mode::OutOfCore) };
+    let least_bytes = match purse.poorest().way::<S>(scan, Some(faces)) {
         Err(Error::Budget { needed_bytes, .. }) => needed_bytes,
         _ => in_core_bytes,
     };
@@ -97,6 +95,8 @@ fn reduction<S: crate::mesh::Coordinate>(scan: &Scan, purse: &Purse, faces: u64)
         samples: 0,
         pictures: false,
     };
-    let seconds = mode.map(|mode| effort(mode).seconds(THREADS));
+    // In tiles all faces go through the collapse, as in core.
+    let like = if matches!(way, Some(Way::Tiled(_))) { Some(Mode::InCore) } else { mode };
+    let seconds = like.map(|mode| effort(mode).seconds(THREADS));
     ReductionFigures { faces, mode, seconds, in_core_bytes, least_bytes }
 }

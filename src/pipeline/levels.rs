@@ -9,7 +9,7 @@ use super::{Clock, Run, mesh_file};
 use crate::collapse::{Carried, Collapsed, collapse};
 use crate::error::Result;
 use crate::job::Level;
-use crate::mesh::{Coordinate, Frame, IndexedMesh, Reference, Wedges};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, Reference, Shades, Wedges};
 use crate::refit::{Aim, Held, refit};
 use crate::report::{LevelReport, Timeline, Warning};
 use crate::write;
@@ -27,6 +27,9 @@ pub(super) struct Chain<'a, S> {
     pub(super) locked: &'a [DVec3],
     /// Its seams.
     pub(super) wedges: Wedges,
+    /// Numbers that steer, and what a full range of one is worth here and at each level after it.
+    pub(super) shades: Shades,
+    pub(super) lengths: Vec<f64>,
     /// What the scan wears.
     pub(super) outfit: Option<&'a Outfit<S>>,
 }
@@ -82,7 +85,8 @@ impl Run<'_> {
         clock: &mut Clock,
         seconds: &mut Timeline,
     ) -> Result<Chain<'a, S>> {
-        let Chain { mesh, frame, mut references, error, locked: points, wedges, outfit } = chain;
+        let Chain { mesh, frame, mut references, error, locked: points, wedges, mut shades, mut lengths, outfit } =
+            chain;
         let asked = level.target.faces(self.scan.triangle_count());
         let (faces, vertices) = (mesh.faces.len(), mesh.positions.len());
         let refits = self.job.refit_rounds > 0;
@@ -93,8 +97,13 @@ impl Run<'_> {
         }
         // Pieces that are too small have gone.
         options.policies.min_component = None;
-        let carried = (!wedges.is_empty()).then(|| Carried { wedges, ..Carried::default() });
-        let Collapsed { mut mesh, error_estimate, reference, locked, mut wedges, .. } =
+        if let [here, there, ..] = lengths[..] {
+            shades.scale(there / here);
+            lengths.remove(0);
+        }
+        let carries = !(wedges.is_empty() && shades.is_empty());
+        let carried = carries.then(|| Carried { wedges, shades, ..Carried::default() });
+        let Collapsed { mut mesh, error_estimate, reference, locked, mut wedges, shades, .. } =
             collapse(mesh, carried, &options, self.progress)?;
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse += clock.lap();
@@ -114,7 +123,8 @@ impl Run<'_> {
             refit(&mut mesh, &aim, self.job.refit_rounds, held, self.progress)?;
         }
         seconds.refit += clock.lap();
-        Ok(Chain { mesh, frame, references, error: error + error_estimate, locked: points, wedges, outfit })
+        let error = error + error_estimate;
+        Ok(Chain { mesh, frame, references, error, locked: points, wedges, shades, lengths, outfit })
     }
 }
 

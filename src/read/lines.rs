@@ -155,16 +155,10 @@ impl<D: Dialect> Text<D> {
         Ok(())
     }
 
-    /// Streams the vertices with so many numbers behind their positions, each times `factor`; what is not there is not a
+    /// Streams the vertices with the numbers behind their positions, each times its factor; what is not there is not a
     /// number.
-    pub fn carried(
-        &self,
-        (columns, factor): (usize, f64),
-        input: &Input,
-        crew: &Crew<'_>,
-        step: &CarriedStep<'_>,
-    ) -> Result<()> {
-        let workers = Numbering::default();
+    pub fn carried(&self, factors: &[f64], input: &Input, crew: &Crew<'_>, step: &CarriedStep<'_>) -> Result<()> {
+        let (workers, columns) = (Numbering::default(), factors.len());
         let local = || (workers.next(), Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK * columns));
         let held = |block: &Block| block.here.vertices > 0;
         self.pump(input, crew, held, local, |(worker, positions, values), block, bytes| {
@@ -177,8 +171,8 @@ impl<D: Dialect> Text<D> {
                 let position = position(numbers, self.fits_f32);
                 positions.push(position.map_err(|w| error(input, "vertex", ordinal, bytes, block.offset, w))?);
                 let mut more = words(numbers).skip(3);
-                let number = |word| number(word, true).map_or(f64::NAN, |x| factor * x);
-                values.extend((0..columns).map(|_| more.next().map_or(f64::NAN, number)));
+                let number = |word| number(word, true).unwrap_or(f64::NAN);
+                values.extend(factors.iter().map(|factor| factor * more.next().map_or(f64::NAN, number)));
                 if positions.len() == CHUNK {
                     step(*worker, CarriedChunk { first, positions, values, columns })?;
                     first += CHUNK as u64;

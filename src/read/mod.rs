@@ -50,7 +50,7 @@ use crate::scratch::Scratch;
 use gltf::Gltf;
 use map::Input;
 use obj::ObjText;
-use off::{Carried, OffText};
+use off::OffText;
 use ply::Ply;
 use std::fmt;
 use std::path::Path;
@@ -179,7 +179,7 @@ enum Body {
     Stl(Stl),
     Obj(Box<ObjText>),
     Off(Box<OffText>),
-    OffBinary(Box<Ply>, Carried),
+    OffBinary(Box<Ply>),
     Gltf(Box<Gltf>),
 }
 
@@ -211,9 +211,7 @@ impl Scan {
         } else if off::keyword(&head).is_some() {
             match off::open(&input, progress)? {
                 off::Opened::Words(text) => Body::Off(text.into()),
-                off::Opened::Binary(header, carried) => {
-                    Body::OffBinary(Ply::with_header(&input, progress, header)?.into(), carried)
-                }
+                off::Opened::Binary(header) => Body::OffBinary(Ply::with_header(&input, progress, header)?.into()),
             }
         } else if !Stl::fits(&input, &head) && obj::is_obj(&head, head.len() as u64 == input.len(), is_named("obj")) {
             Body::Obj(obj::open(&input, progress)?.into())
@@ -225,7 +223,9 @@ impl Scan {
             Body::Ply(ply) => ply.columns(),
             Body::Obj(text) => text.dialect.columns(),
             Body::Gltf(gltf) => gltf.columns(),
-            Body::Stl(_) | Body::Off(_) | Body::OffBinary(..) => Vec::new(),
+            Body::Off(text) => text.dialect.numbers.iter().map(|(column, _)| column.clone()).collect(),
+            Body::OffBinary(ply) => ply.columns(),
+            Body::Stl(_) => Vec::new(),
         };
         Ok(Scan { input, compression, body, columns })
     }
@@ -242,7 +242,7 @@ impl Scan {
             Body::Stl(stl) => stl.format(),
             Body::Obj(_) => Format::Obj,
             Body::Off(_) => Format::OffAscii,
-            Body::OffBinary(..) => Format::OffBinary,
+            Body::OffBinary(_) => Format::OffBinary,
             Body::Gltf(gltf) if gltf.is_binary => Format::Glb,
             Body::Gltf(_) => Format::Gltf,
         }
@@ -264,7 +264,7 @@ impl Scan {
     /// What its coordinates must be stored in.
     pub fn scalar(&self) -> Scalar {
         let fits_f32 = match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.fits_f32(),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.fits_f32(),
             Body::Stl(_) => true,
             Body::Obj(text) => text.fits_f32,
             Body::Off(text) => text.fits_f32,
@@ -276,12 +276,11 @@ impl Scan {
     /// What it carries beside positions and faces, which none of the passes here yields.
     pub fn attributes(&self) -> Vec<Attribute> {
         match &self.body {
-            Body::Ply(ply) => ply.attributes(),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.attributes(),
             Body::Stl(_) if self.has_coat() => vec![Attribute::of(Carrier::Face, stl_corners::NAME, "ushort")],
             Body::Stl(_) => Vec::new(),
             Body::Obj(text) => text.dialect.attributes(),
-            Body::Off(text) => text.dialect.carried.attributes(),
-            Body::OffBinary(_, carried) => carried.attributes(),
+            Body::Off(text) => text.dialect.attributes(),
             Body::Gltf(gltf) => gltf.attributes.clone(),
         }
     }
@@ -307,7 +306,7 @@ impl Scan {
     /// Vertices of the file; three a face where faces do not share them.
     pub fn vertex_count(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.vertex_count(),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.vertex_count(),
             Body::Stl(stl) => 3 * stl.faces,
             Body::Obj(text) => text.total.vertices,
             Body::Off(text) => text.total.vertices,
@@ -318,7 +317,7 @@ impl Scan {
     /// Faces as the file counts them: polygons.
     pub fn face_count(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.face_count(),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.face_count(),
             Body::Stl(stl) => stl.faces,
             Body::Obj(text) => text.total.faces,
             Body::Off(text) => text.total.faces,
@@ -329,7 +328,7 @@ impl Scan {
     /// Triangles, when polygons are cut into fans; those of fewer than three corners make none.
     pub fn triangle_count(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.triangles,
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.triangles,
             Body::Stl(stl) => stl.faces,
             Body::Obj(text) => text.total.triangles,
             Body::Off(text) => text.total.triangles,
@@ -340,7 +339,7 @@ impl Scan {
     /// Polygons of fewer than three corners, which make no triangle.
     pub fn short_polygons(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.short_polygons,
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.short_polygons,
             Body::Obj(text) => text.total.short_polygons,
             Body::Off(text) => text.total.short_polygons,
             Body::Stl(_) | Body::Gltf(_) => 0,
@@ -350,7 +349,7 @@ impl Scan {
     /// Bytes behind the last element, which nobody asked for.
     pub fn trailing_bytes(&self) -> u64 {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.trailing,
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.trailing,
             Body::Stl(stl) => stl.trailing,
             Body::Gltf(gltf) => gltf.trailing,
             Body::Obj(_) | Body::Off(_) => 0,
@@ -384,14 +383,14 @@ impl Scan {
     /// The PLY records that it consists of, if it does.
     fn ply(&self) -> Option<&Ply> {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => Some(ply),
+            Body::Ply(ply) | Body::OffBinary(ply) => Some(ply),
             _ => None,
         }
     }
 
     fn vertices_in_order(&self, crew: &Crew<'_>, step: &VertexStep<'_>) -> Result<()> {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.vertices_in_order(&self.input, crew, step),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.vertices_in_order(&self.input, crew, step),
             Body::Obj(text) => text.vertices(&self.input, crew, step),
             Body::Off(text) => text.vertices(&self.input, crew, step),
             Body::Gltf(gltf) => gltf.vertices(&self.input, crew, step),
@@ -409,8 +408,12 @@ impl Scan {
         let slots = Slots::new(crew, worker);
         let step = |worker: usize, chunk: CarriedChunk<'_>| step(&mut slots.of(worker), chunk);
         match &self.body {
-            Body::Ply(ply) => ply.carried(&self.input, crew, &step)?,
-            Body::Obj(text) => text.carried((self.columns.len(), 255.0), &self.input, crew, &step)?,
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.carried(&self.input, crew, &step)?,
+            Body::Obj(text) => text.carried(&[255.0; 3][..self.columns.len()], &self.input, crew, &step)?,
+            Body::Off(text) => {
+                let factors: Vec<f64> = text.dialect.numbers.iter().map(|(_, factor)| *factor).collect();
+                text.carried(&factors, &self.input, crew, &step)?;
+            }
             Body::Gltf(gltf) => gltf.carried(&self.input, crew, &step)?,
             _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
         }
@@ -421,7 +424,7 @@ impl Scan {
     pub fn coat(&self, progress: &Progress) -> Result<Option<Coat>> {
         match &self.body {
             Body::Obj(text) if self.has_coat() => obj_corners::coat(text, &self.input, progress).map(Some),
-            Body::Ply(ply) if self.has_coat() => ply.coat(&self.input, progress).map(Some),
+            Body::Ply(ply) | Body::OffBinary(ply) if self.has_coat() => ply.coat(&self.input, progress).map(Some),
             Body::Stl(stl) if self.has_coat() => stl.coat(&self.input, progress).map(Some),
             Body::Gltf(gltf) if self.has_coat() => gltf.coat(&self.input, progress).map(Some),
             _ => Ok(None),
@@ -432,10 +435,10 @@ impl Scan {
     pub fn has_coat(&self) -> bool {
         match &self.body {
             Body::Obj(text) => text.dialect.is_coated(),
-            Body::Ply(ply) => ply.is_coated(),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.is_coated(),
             Body::Stl(stl) => stl.is_coated(&self.input),
             Body::Gltf(gltf) => gltf.is_coated(),
-            Body::Off(_) | Body::OffBinary(..) => false,
+            Body::Off(_) => false,
         }
     }
 
@@ -443,7 +446,7 @@ impl Scan {
     pub fn coat_values(&self) -> u64 {
         match &self.body {
             Body::Obj(text) => text.dialect.coat_values(),
-            Body::Ply(ply) => ply.coat_values(),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.coat_values(),
             _ => 0,
         }
     }
@@ -452,7 +455,7 @@ impl Scan {
     pub fn corners(&self, coat: &Coat, progress: &Progress, step: &mut (dyn FnMut(Corners) + Send)) -> Result<()> {
         match &self.body {
             Body::Obj(text) => obj_corners::corners(text, coat, &self.input, progress, step),
-            Body::Ply(ply) => ply.corners(coat, &self.input, progress, step),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.corners(coat, &self.input, progress, step),
             Body::Stl(stl) => stl.corners(coat, &self.input, progress, step),
             Body::Gltf(gltf) => gltf.corners(coat, &self.input, progress, step),
             _ => Ok(()),
@@ -476,7 +479,7 @@ impl Scan {
 
     fn triangles_in_order(&self, crew: &Crew<'_>, step: &TriangleStep<'_>) -> Result<()> {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => ply.triangles_in_order(&self.input, crew, step),
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.triangles_in_order(&self.input, crew, step),
             Body::Obj(text) => text.triangles(&self.input, crew, step),
             Body::Off(text) => text.triangles(&self.input, crew, step),
             Body::Gltf(gltf) => gltf.triangles(&self.input, crew, step),
@@ -504,7 +507,7 @@ impl Scan {
             _ => Item { kind: "vertex", ordinal: vertex },
         };
         let (file, byte) = match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply, _) => (self.path(), ply.vertex_run.map(|(run, _)| run.byte(vertex))),
+            Body::Ply(ply) | Body::OffBinary(ply) => (self.path(), ply.vertex_run.map(|(run, _)| run.byte(vertex))),
             Body::Stl(stl) => (self.path(), stl.corner_byte(vertex)),
             Body::Obj(text) => (self.path(), text.vertex_byte(&self.input, vertex)),
             Body::Off(text) => (self.path(), text.vertex_byte(&self.input, vertex)),

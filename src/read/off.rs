@@ -9,8 +9,9 @@ use super::map::Input;
 use super::ply_header::{Element, Header, Property, Role, Shape, shown};
 use super::ply_records::no_such_vertex;
 use crate::error::{Error, Item, Result};
-use crate::mesh::columns::Number;
+use crate::mesh::columns::{Column, Meaning, Number};
 use crate::progress::Progress;
+use memchr::memchr;
 use ply_rs::ply::Encoding;
 
 /// How far the counts may be from the beginning of the file: comments may come first.
@@ -24,7 +25,8 @@ pub(super) type OffText = Text<Off>;
 pub(super) struct Off {
     pub vertices: u64,
     pub faces: u64,
-    pub carried: Carried,
+    /// Numbers that vertices have behind their coordinates, and what the file's are to be multiplied by.
+    pub numbers: Vec<(Column, f64)>,
 }
 
 /// What vertices carry, by the letters before `OFF`.
@@ -36,11 +38,35 @@ pub(super) struct Carried {
 }
 
 impl Carried {
-    /// As names and types.
-    pub fn attributes(self) -> Vec<Attribute> {
-        let all = [(self.normals, "normal", "3"), (self.colours, "colour", "3 or 4"), (self.uvs, "texture", "2")];
-        let there = all.into_iter().filter(|(there, ..)| *there);
-        there.map(|(_, name, n)| Attribute::of(Carrier::Vertex, name, format!("{n} numbers"))).collect()
+    /// Names of the numbers, in the order of the file, with colours of so many parts.
+    fn names(self, parts: usize) -> Vec<&'static str> {
+        let there = |is: bool, names: &[&'static str]| if is { names.to_vec() } else { Vec::new() };
+        let colours = &["red", "green", "blue", "alpha"][..parts.min(4)];
+        [there(self.normals, &["nx", "ny", "nz"]), there(self.colours, colours), there(self.uvs, &["s", "t"])].concat()
+    }
+
+    /// The numbers of a file of which this is a vertex. Colours are bytes, or shares of full brightness: those have a point.
+    fn numbers(self, vertex: &[u8]) -> Vec<(Column, f64)> {
+        let others = 3 + 3 * usize::from(self.normals) + 2 * usize::from(self.uvs);
+        let parts = words(vertex).count().saturating_sub(others);
+        let first = 3 + 3 * usize::from(self.normals);
+        let shares = words(vertex).skip(first).take(parts).any(|word| word.contains(&b'.'));
+        let names = if self.colours && parts < 3 { Carried { colours: false, ..self } } else { self }.names(parts);
+        let number = |name: &str| {
+            let meaning = Meaning::of(name);
+            let is_colour = matches!(meaning, Meaning::Colour(_));
+            let number = if is_colour { Number::U8 } else { Number::F32 };
+            (Column { name: name.into(), number, meaning }, if is_colour && shares { 255.0 } else { 1.0 })
+        };
+        names.into_iter().map(number).collect()
+    }
+}
+
+impl Off {
+    /// What vertices carry, as names and types.
+    pub fn attributes(&self) -> Vec<Attribute> {
+        let attribute = |(c, _): &(Column, f64)| Attribute::of(Carrier::Vertex, &c.name, c.number.word());
+        self.numbers.iter().map(attribute).collect()
     }
 }
 
@@ -78,7 +104,7 @@ pub(super) fn keyword(head: &[u8]) -> Option<(usize, Keyword)> {
 pub(super) enum Opened {
     Words(OffText),
     /// To be read as a PLY file with such a header.
-    Binary(Header, Carried),
+    Binary(Header),
 }
 
 /// Reads the counts, and counts what they do not say.
@@ -90,7 +116,7 @@ pub(super) fn open(input: &Input, progress: &Progress) -> Result<Opened> {
     };
     let behind = at + len;
     if let Some(payload) = binary_payload(&head, behind) {
-        return binary(input, &head, payload, carried).map(|header| Opened::Binary(header, carried));
+        return binary(input, &head, payload, carried).map(Opened::Binary);
     }
     let (counts, payload) = counts(input, &head, behind)?;
     let [vertices, faces] = counts;
@@ -100,7 +126,8 @@ pub(super) fn open(input: &Input, progress: &Progress) -> Result<Opened> {
         let what = format!("its {vertices} vertices and {faces} faces need more lines than {} bytes hold", input.len());
         return Err(Error::input(input.path(), what));
     }
-    let text = Text::open(input, progress, Off { vertices, faces, carried }, payload)?;
+    let numbers = carried.numbers(first_line(&head[payload as usize..]));
+    let text = Text::open(input, progress, Off { vertices, faces, numbers }, payload)?;
     let found = text.total;
     if (found.vertices, found.faces) != (vertices, faces) {
         let (kind, ordinal) =
@@ -112,6 +139,15 @@ pub(super) fn open(input: &Input, progress: &Progress) -> Result<Opened> {
         return Err(Error::input(input.path(), "has no usable face: every polygon has fewer than three corners"));
     }
     Ok(Opened::Words(text))
+}
+
+/// The first line of a text that says something.
+fn first_line(text: &[u8]) -> &[u8] {
+    let lines = text.split(|b| matches!(b, b'\n' | b'\r'));
+    lines
+        .map(|line| &line[..memchr(b'#', line).unwrap_or(line.len())])
+        .find(|l| words(l).next().is_some())
+        .unwrap_or(b"")
 }
 
 fn check(input: &Input, vertices: u64, faces: u64) -> Result<()> {
@@ -164,10 +200,9 @@ fn binary(input: &Input, head: &[u8], payload: usize, carried: Carried) -> Resul
         u64::try_from(n).map_err(|_| Error::input(input.path(), format!("counts {n} vertices or faces")))
     };
     let (vertices, faces) = (count(0)?, count(4)?);
-    let number = |role| Property { role, shape: Shape::Scalar(Number::F32), name: String::new() };
-    let extra = 3 * usize::from(carried.normals) + 4 * usize::from(carried.colours) + 2 * usize::from(carried.uvs);
-    let axes = (0..3).map(|axis| number(Role::Axis(axis)));
-    let vertex = axes.chain((0..extra).map(|_| number(Role::Other))).collect();
+    let number = |role, name: &str| Property { role, shape: Shape::Scalar(Number::F32), name: name.into() };
+    let axes = (0..3).map(|axis| number(Role::Axis(axis), ""));
+    let vertex = axes.chain(carried.names(4).into_iter().map(|name| number(Role::Other, name))).collect();
     let list = |role, item| Property { role, shape: Shape::List { count: Number::I32, item }, name: String::new() };
     let face = vec![list(Role::Corners, Number::I32), list(Role::Other, Number::F32)];
     Ok(Header {
@@ -217,6 +252,26 @@ impl Dialect for Off {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_are_those_that_the_first_vertex_has() {
+        let all = Carried { uvs: true, colours: true, normals: true };
+        let of = |carried: Carried, line: &[u8]| {
+            let numbers = carried.numbers(first_line(line)).into_iter();
+            numbers.map(|(column, factor)| (column.name, factor)).collect::<Vec<_>>()
+        };
+        let names = |names: &[(&str, f64)]| names.iter().map(|(n, f)| (n.to_string(), *f)).collect::<Vec<_>>();
+        let normal = [("nx", 1.0), ("ny", 1.0), ("nz", 1.0)];
+        let bytes = [("red", 1.0), ("green", 1.0), ("blue", 1.0)];
+        let uv = [("s", 1.0), ("t", 1.0)];
+        let found = of(all, b"# none\n\n1 2 3  0 0 1  255 0 7  0.5 0.25 # here\n");
+        assert_eq!(found, names(&[&normal[..], &bytes, &uv].concat()));
+        let colours = Carried { colours: true, ..Carried::default() };
+        let shares = [("red", 255.0), ("green", 255.0), ("blue", 255.0), ("alpha", 255.0)];
+        assert_eq!(of(colours, b"1.5 2 3 1. 0 0.5 1\n"), names(&shares));
+        assert_eq!(of(colours, b"1.5 2.5 3.5 255 0 7"), names(&bytes));
+        assert_eq!(of(colours, b"1.5 2.5 3.5 7"), names(&[]), "an index into a map of colours");
+    }
 
     #[test]
     fn keywords_say_what_vertices_carry() {

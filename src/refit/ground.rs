@@ -1,7 +1,8 @@
 //! The nearest place on a mesh, found by walking over it from a face that is known to be near.
 
 use crate::mesh::adjacency::{Stars, parts};
-use crate::mesh::{Coordinate, IndexedMesh, step};
+use crate::mesh::triangle::distance_sq;
+use crate::mesh::{Coordinate, IndexedMesh, step, widen};
 use glam::Vec3;
 
 /// A mesh that can be walked over.
@@ -27,6 +28,9 @@ const LONGEST_WALK: usize = 64;
 
 /// Differences of distances below this share of a face's side are rounding.
 pub(super) const ROUNDING: f32 = 4e-6;
+
+/// Gains that differ from [`ROUNDING`] by less than this share of it are worked out in doubles: singles are that far off.
+const UNSURE: f32 = 0.1;
 
 impl<S: Coordinate> Ground<'_, S> {
     /// Twice the area times the unit normal of a face.
@@ -108,22 +112,33 @@ impl<S: Coordinate> Ground<'_, S> {
 
     /// Whether a place is nearer than another by more than rounding. What is nearest to an edge is as near to both its
     /// faces: the last bit must not choose between them, or a scan moved to where doubles round otherwise would be refitted
-    /// otherwise.
+    /// otherwise. Where single precision cannot tell, doubles are asked.
     #[inline(always)]
-    fn is_nearer(&self, place: Place, best: Place) -> bool {
+    fn is_nearer(&self, point: [S; 3], place: Place, best: Place) -> bool {
         place.distance_sq < best.distance_sq && {
             let [a, b, c] = self.mesh.faces[best.face as usize].map(|v| self.mesh.positions[v as usize]);
             let long = step(a, b).abs().max(step(a, c).abs()).max_element();
-            let distance = best.distance_sq.sqrt() - ROUNDING * long;
-            distance > 0.0 && place.distance_sq < distance * distance
+            let least = ROUNDING * long;
+            let distance = best.distance_sq.sqrt() - least;
+            let gain = if S::DOUBLE { distance - place.distance_sq.sqrt() } else { f32::INFINITY };
+            match gain.abs() < UNSURE * least {
+                true => self.exact(point, best.face) - self.exact(point, place.face) > f64::from(least),
+                false => distance > 0.0 && place.distance_sq < distance * distance,
+            }
         }
+    }
+
+    /// The distance from a point to a face, in double precision.
+    #[cold]
+    fn exact(&self, point: [S; 3], face: u32) -> f64 {
+        distance_sq(widen(point), self.mesh.faces[face as usize].map(|v| self.mesh.at(v))).sqrt()
     }
 
     #[inline(always)]
     fn improve(&self, best: &mut Option<Place>, point: [S; 3], normal: Vec3, faces: impl Iterator<Item = u32>) {
         for face in faces {
             let place = self.on_face(point, face);
-            if best.is_none_or(|b| self.is_nearer(place, b)) && self.normal(face).dot(normal) > 0.0 {
+            if best.is_none_or(|b| self.is_nearer(point, place, b)) && self.normal(face).dot(normal) > 0.0 {
                 *best = Some(place);
             }
         }

@@ -202,3 +202,42 @@ fn heaviest(counts: &Counts, coarsening: u32) -> u32 {
     };
     heaviest(Lie::Straight).max(heaviest(Lie::Shifted))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(x: u64, y: u64, z: u64) -> u64 {
+        x | y << BITS | z << (2 * BITS)
+    }
+
+    #[test]
+    fn tiles_of_one_lie_are_cut_in_the_middle_of_those_of_the_other() {
+        let tiles = |lie: Lie| (0..24).map(move |x| lie.tile(block(x, 0, 5)));
+        let changes = |lie: Lie| {
+            let tiles: Vec<u64> = tiles(lie).collect();
+            (1..24).filter(|x| tiles[*x] != tiles[x - 1]).collect::<Vec<_>>()
+        };
+        assert_eq!((changes(Lie::Straight), changes(Lie::Shifted)), (vec![8, 16], vec![4, 12, 20]));
+        assert_eq!(Lie::Straight.other().other(), Lie::Straight);
+    }
+
+    #[test]
+    fn a_point_has_one_block_and_its_numbers_fit_any_scalar() {
+        let blocks = Blocks::new(DVec3::splat(-1.0), 0.25);
+        assert_eq!(blocks.of(DVec3::new(-0.9, 0.1, 0.99)), block(0, 4, 7));
+        assert_eq!(blocks.of(DVec3::splat(-7.0)), block(0, 0, 0), "what is outside is in the nearest");
+        let far = block(MASK, 7, MASK - 1);
+        assert_eq!((numbered(numbers::<f32>(far)), numbered(numbers::<f64>(far))), (far, far));
+        assert_eq!(cube(block(9, 4, 3), 4), block(2, 1, 0));
+        assert!(blocks.within(DVec3::new(-0.9, 0.1, 0.99), 1.0).distance(DVec3::new(0.4, 0.4, 0.96)) < 1e-9);
+    }
+
+    #[test]
+    fn the_curve_keeps_neighbours_together() {
+        let blocks = Blocks::new(DVec3::ZERO, 1.0);
+        let at = |x: f64, y: f64| blocks.along_curve(DVec3::new(x, y, 0.0));
+        assert!(at(0.49, 0.49) < at(0.51, 0.1) && at(0.99, 0.99) < at(1.01, 0.0));
+        assert_eq!(at(0.3, 0.3), at(0.3, 0.3));
+    }
+}

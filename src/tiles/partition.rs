@@ -248,3 +248,78 @@ fn by_corners<S: Coordinate>(a: &[[S; 3]; 3], b: &[[S; 3]; 3]) -> Ordering {
     let numbers = a.as_flattened().iter().zip(b.as_flattened());
     numbers.map(|(x, y)| x.widen().total_cmp(&y.widen())).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::grid;
+    use super::*;
+    use crate::mesh::{Extent, Frame};
+    use crate::progress::Progress;
+    use crate::read::Scan;
+
+    /// A square of n × n × 2 faces in the plane, from 0 to 1.
+    fn square(n: u32) -> IndexedMesh<f32> {
+        let at = |i: u32| i as f32 / n as f32;
+        let positions = (0..=n).flat_map(|y| (0..=n).map(move |x| [at(x), at(y), 0.0])).collect();
+        let number = |x: u32, y: u32| y * (n + 1) + x;
+        let quad = |x: u32, y: u32| {
+            let [a, b, c, d] = [number(x, y), number(x + 1, y), number(x + 1, y + 1), number(x, y + 1)];
+            [[a, b, c], [a, c, d]]
+        };
+        IndexedMesh { positions, faces: (0..n).flat_map(|y| (0..n).flat_map(move |x| quad(x, y))).collect() }
+    }
+
+    fn blocks(folder: &std::path::Path, most: u64) -> Blocks {
+        let path = folder.join("square.stl");
+        let progress = Progress::default();
+        let target = crate::write::Target::prepare(&path, None).unwrap();
+        target.write_mesh(&square(64), Frame::default(), &progress).unwrap();
+        let scan = Scan::open(&path, &progress).unwrap();
+        let crew = crate::read::Crew { workers: 2, progress: &progress };
+        let extent = grid::extent(&scan, &crew).unwrap();
+        assert_eq!(extent, Extent { min: DVec3::ZERO, max: DVec3::new(1.0, 1.0, 0.0) });
+        grid::blocks(&scan, &crew, (Frame::default(), &extent), most).unwrap().unwrap()
+    }
+
+    #[test]
+    fn tiles_hold_every_face_once_and_lock_what_they_share() {
+        let folder = tempfile::tempdir().unwrap();
+        let blocks = blocks(folder.path(), 1500);
+        let partition = Partition::<f32>::new(blocks, 1 << 12, &Scratch::in_folder(folder.path())).unwrap();
+        let mut mesh = square(64);
+        let cut = partition.add(&mesh).unwrap();
+        assert!(cut.faces == 8192 && (cut.area() - 1.0).abs() < 1e-12, "{cut:?}");
+        for lie in [Lie::Straight, Lie::Shifted] {
+            let tiles = partition.tiles(lie);
+            assert!(tiles.len() > 5);
+            let mut users: BTreeMap<[u32; 3], u32> = BTreeMap::new();
+            let mut locked = BTreeMap::new();
+            let mut faces = 0;
+            for (tile, place) in &tiles {
+                let loaded = partition.load(lie, *tile, place).unwrap();
+                assert_eq!(loaded.mesh.faces.len() as u64, place.faces());
+                assert!(place.faces() <= 1500);
+                faces += place.faces();
+                for (v, position) in loaded.mesh.positions.iter().enumerate() {
+                    let key = position.map(f32::to_bits);
+                    *users.entry(key).or_default() += 1;
+                    *locked.entry(key).or_insert(0) += u32::from(loaded.locked.binary_search(&(v as u32)).is_ok());
+                }
+            }
+            assert_eq!((faces, users.len()), (8192, mesh.positions.len()));
+            for (key, users) in &users {
+                let locks = locked[key];
+                assert!(locks == *users || *users == 1 && locks <= 1, "{users} tiles, locked in {locks}");
+            }
+        }
+        // Whatever the order in which faces came.
+        let again = Partition::<f32>::new(blocks, 1 << 9, &Scratch::in_folder(folder.path())).unwrap();
+        mesh.faces.reverse();
+        again.add(&mesh).unwrap();
+        let load = |partition: &Partition<f32>| {
+            let (tile, place) = partition.tiles(Lie::Straight).pop_first().unwrap();
+            partition.load(Lie::Straight, tile, &place).unwrap().mesh
+        };
+        assert_eq!(load(&partition), load(&again));
+    }
+}

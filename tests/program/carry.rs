@@ -60,6 +60,41 @@ fn colours_survive_in_core_and_out_of_core() {
 }
 
 #[test]
+fn what_vertices_of_an_off_carry_comes_through() {
+    let folder = Folder::new();
+    let mesh = torus(160, 100);
+    let mut text = format!("CNOFF\n{} {} 0\n", mesh.positions.len(), mesh.faces.len());
+    let mut shares = text.clone();
+    for p in &mesh.positions {
+        let [x, y, z] = p;
+        let [r, g, b] = colour(*p).map(f64::round);
+        text += &format!("{x} {y} {z} 0 0.6 0.8 {r} {g} {b}\n");
+        shares += &format!("{x} {y} {z} 0 0.6 0.8 {:.9} {:.9} {:.9} 1\n", r / 255.0, g / 255.0, b / 255.0);
+    }
+    for [a, b, c] in &mesh.faces {
+        text += &format!("3 {a} {b} {c}\n");
+        shares += &format!("3 {a} {b} {c}\n");
+    }
+    folder.file("bytes.off", text);
+    folder.file("shares.off", shares);
+    for (scan, colours) in [("bytes.off", 3), ("shares.off", 4)] {
+        let (report, text) = reduce(&folder, scan, &["--faces", "2000"]);
+        assert_eq!(report["warnings"], Value::Array(Vec::new()), "{scan}");
+        let (header, body) = text.split_once("end_header\n").unwrap();
+        let properties = "property float nx\nproperty float ny\nproperty float nz\nproperty uchar red\n";
+        assert!(header.contains(properties), "{header}");
+        let vertices = report["output"]["vertices"].as_u64().unwrap() as usize;
+        for line in body.lines().take(vertices) {
+            let numbers: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
+            assert_eq!(numbers.len(), 6 + colours, "{scan}: {line}");
+            let expected = colour([numbers[0], numbers[1], numbers[2]]);
+            let off = numbers[6..].iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off < 12.0 && (numbers[4] - 0.6).abs() < 1e-6, "{scan}: {line}, expected {expected:?}");
+        }
+    }
+}
+
+#[test]
 fn what_is_left_behind_is_told() {
     let folder = Folder::new();
     let mesh = torus(40, 25);

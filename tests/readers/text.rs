@@ -198,7 +198,7 @@ fn off_as_it_comes() {
         assert_eq!((scan.vertex_count(), scan.face_count(), &found.positions[..]), (5, 4, &ROOF[..]), "{text}");
         assert_eq!(found.triangles, triangles(), "{text}");
     }
-    assert_eq!(content("scan", &off("NOFF", " 0 0 1", "")).0.attributes()[0].name, "normal");
+    assert_eq!(content("scan", &off("NOFF", " 0 0 1", "")).0.attributes()[0].name, "nx");
 }
 
 #[test]

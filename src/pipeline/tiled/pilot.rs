@@ -1,0 +1,116 @@
+//! The cost down to which all tiles are collapsed, from pieces of the scan.
+
+use super::{COST_POWER, Mill, SPARE, Threshold};
+use crate::error::Result;
+use crate::mesh::{Coordinate, IndexedMesh, widen};
+use crate::tiles;
+use glam::DVec3;
+use std::collections::BTreeMap;
+
+/// How near to what is wanted the pilot is to come.
+const NEAR_ENOUGH: f64 = 0.03;
+/// Collapses of the pilot, at most.
+const PILOT_TURNS: u32 = 12;
+/// Faces of the pilot, about.
+const PILOT_FACES: u64 = 1_500_000;
+/// Faces of a piece, if tiles have so many: enough for its cut border not to matter.
+const PIECE_FACES: u64 = 20_000;
+/// What a collapse costs, about, for the square of the area of a face that is left: where the search begins.
+const FIRST_COST: f64 = 1e-3;
+/// The part of a piece, on either side, where its cut border is felt.
+const RIM: f64 = 0.15;
+
+impl<S: Coordinate> Mill<'_, S> {
+    /// Finds the cost down to which everything is to be collapsed.
+    pub(super) fn pilot(&self) -> Result<Threshold> {
+        let (mesh, pieces) = self.pieces()?;
+        let before = self.inner(&mesh, pieces).max(1) as f64;
+        let wanted = SPARE * self.asked as f64 / self.cut.faces as f64;
+        let area = self.cut.area() / (self.asked as f64).max(1.0);
+        let mut cost = (FIRST_COST * area * area).max(f64::from(f32::MIN_POSITIVE));
+        let (mut low, mut high) = (0.0f64, f64::INFINITY);
+        for _ in 0..PILOT_TURNS {
+            self.run.progress.check()?;
+            let threshold = Threshold { cost: cost as f32, held_to_share: false };
+            let first = self.part(mesh.clone(), Default::default(), self.cut.faces, threshold, false)?.mesh;
+            let whole = (self.cut.faces as f64 * first.faces.len() as f64 / mesh.faces.len().max(1) as f64) as u64;
+            let second = self.part(first, Default::default(), whole, threshold, false)?.mesh;
+            let off = self.inner(&second, pieces) as f64 / before / wanted;
+            if (off - 1.0).abs() < NEAR_ENOUGH {
+                break;
+            }
+            (low, high) = if off > 1.0 { (cost, high) } else { (low, cost) };
+            let next = cost * off.powf(COST_POWER).clamp(1e-4, 1e4);
+            cost = if next <= low || next >= high {
+                (low.max(1e-6 * high) * high.min(1e6 * low.max(f64::MIN_POSITIVE))).sqrt()
+            } else {
+                next
+            };
+            if cost < f64::from(f32::MIN_POSITIVE) {
+                return Ok(Threshold { cost: f32::MIN_POSITIVE, held_to_share: true });
+            }
+        }
+        Ok(Threshold { cost: cost as f32, held_to_share: false })
+    }
+
+    /// Pieces from all over the scan, cubes of it, and how many of them there are along the side of a block.
+    fn pieces(&self) -> Result<(IndexedMesh<S>, f64)> {
+        let wanted = PILOT_FACES.min(self.plan.faces / 2).max(1);
+        let by_block = self.scan.by_block();
+        let cubes = |side: u32| {
+            let mut cubes: BTreeMap<u64, Vec<tiles::Run>> = BTreeMap::new();
+            by_block.iter().for_each(|(block, runs)| cubes.entry(tiles::cube(*block, side)).or_default().extend(runs));
+            cubes
+        };
+        let of_each = |count: usize| self.cut.faces / (count as u64).max(1);
+        // A surface is in four of the eight parts of a block.
+        let (cubes, pieces) = if of_each(4 * by_block.len()) >= PIECE_FACES {
+            (cubes(1), 2.0)
+        } else {
+            let cubes_of = |side: u32| (cubes(side), 1.0 / f64::from(side));
+            let enough = |(cubes, _): &(BTreeMap<u64, Vec<tiles::Run>>, f64)| of_each(cubes.len()) >= PIECE_FACES;
+            [1, 2].into_iter().map(cubes_of).find(enough).unwrap_or_else(|| cubes_of(4))
+        };
+        let parts = if pieces > 1.0 { 4 } else { 1 };
+        let every = (self.cut.faces / parts / wanted).max(1) as usize;
+        let mut soup: Vec<[[S; 3]; 3]> = Vec::new();
+        for (cube, runs) in cubes.into_iter().skip(every / 2).step_by(every) {
+            let mut faces = self.scan.soup(&runs)?;
+            if pieces > 1.0 {
+                self.keep_a_part(cube, &mut faces);
+            }
+            soup.extend(faces);
+        }
+        Ok((tiles::welded(soup, &self.blocks).0, pieces))
+    }
+
+    /// Keeps the faces in one of the eight parts of a block: drawn, by how many each has.
+    fn keep_a_part(&self, block: u64, faces: &mut Vec<[[S; 3]; 3]>) {
+        let part = |face: &[[S; 3]; 3]| {
+            let within = self.blocks.within(centroid(face.map(widen)), 1.0);
+            within.to_array().iter().fold(0, |part, x| part << 1 | usize::from(*x >= 0.5))
+        };
+        let mut counts = [0u64; 8];
+        faces.iter().for_each(|face| counts[part(face)] += 1);
+        let mut drawn = (block.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 16) % (faces.len() as u64).max(1);
+        let mut chosen = 0;
+        while chosen < 7 && drawn >= counts[chosen] {
+            drawn -= counts[chosen];
+            chosen += 1;
+        }
+        faces.retain(|face| part(face) == chosen);
+    }
+
+    /// Faces of pieces that are away from where these were cut.
+    fn inner(&self, mesh: &IndexedMesh<S>, pieces: f64) -> usize {
+        let is_inner = |face: &&[u32; 3]| {
+            let within = self.blocks.within(centroid(face.map(|v| widen(mesh.positions[v as usize]))), pieces);
+            within.cmpge(DVec3::splat(RIM)).all() && within.cmple(DVec3::splat(1.0 - RIM)).all()
+        };
+        mesh.faces.iter().filter(is_inner).count()
+    }
+}
+
+fn centroid([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (a + b + c) / 3.0
+}
