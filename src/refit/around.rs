@@ -46,7 +46,8 @@ impl Around {
     /// The face that is nearest to `point`, found from vertex `v` as [`Ground::near_vertex`] does.
     #[inline(always)]
     pub fn near<S: Coordinate>(&mut self, ground: Ground<S>, point: [S; 3], normal: Vec3, v: u32) -> Option<u32> {
-        if ground.stars.of(v).len() > MOST {
+        // In doubles, what single precision cannot tell apart is worked out exactly, which is done one by one.
+        if S::DOUBLE || ground.stars.of(v).len() > MOST {
             return ground.near_vertex(point, normal, v).map(|place| place.face);
         }
         let star = &mut self.0[v as usize % STARS];
