@@ -142,6 +142,8 @@ const LEAST_TILE_SAMPLES: f64 = 6.0;
 /// How many times as many faces as its share a tile may have once it has been collapsed: where a scan is rough, and until
 /// the last collapses are chosen.
 const TILE_SLACK: f64 = 1.6;
+/// What lists of where records are take, counts of blocks, and buffers; budgets that leave less than four times as much are too small for tiles.
+const TILE_LISTS_BYTES: f64 = 2.0 * MIB as f64;
 /// What is known of the last collapses, for each face of the result.
 const PROPOSAL_BYTES: f64 = 20.0;
 /// The fewest faces of the result in a tile, since vertices at its cuts stay: E_avg is 1.34 times that in core with 170 of them, 1.03 with
@@ -343,7 +345,7 @@ impl Purse {
         let a_face = first.max(TILE_SLACK * share * later.max(last));
         let whole = (12.0 + 1.5 * size_of::<S>() as f64) * target as f64;
         let arrays = self.for_arrays() as f64;
-        let left = arrays - PROPOSAL_BYTES * target as f64;
+        let left = arrays - TILE_LISTS_BYTES - PROPOSAL_BYTES * target as f64;
         let faces = (left / a_face).max(0.0) as u64;
         let streaming = self.while_streaming();
         let workers = most_threads(self.bytes) as u64;
