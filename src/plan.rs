@@ -144,6 +144,8 @@ const LEAST_TILE_SAMPLES: f64 = 6.0;
 const TILE_SLACK: f64 = 1.6;
 /// What lists of where records are take, counts of blocks, and buffers; budgets that leave less than four times as much are too small for tiles.
 const TILE_LISTS_BYTES: f64 = 2.0 * MIB as f64;
+/// The share of a scan's faces that tiles are good for: sweeps leave a quarter more than is asked until the last choice.
+const MOST_TILE_SHARE: f64 = 0.75;
 /// What is known of the last collapses, for each face of the result.
 const PROPOSAL_BYTES: f64 = 20.0;
 /// The fewest faces of the result in a tile, since vertices at its cuts stay: E_avg is 1.34 times that in core with 170 of them, 1.03 with
@@ -349,7 +351,9 @@ impl Purse {
         let faces = (left / a_face).max(0.0) as u64;
         let streaming = self.while_streaming();
         let workers = most_threads(self.bytes) as u64;
-        let fits = whole <= arrays
+        let fits = arrays >= 4.0 * TILE_LISTS_BYTES
+            && share <= MOST_TILE_SHARE
+            && whole <= arrays
             && self.carrying_bytes::<S>(scan) <= self.for_arrays()
             && share * faces as f64 >= LEAST_TILE_FACES;
         fits.then(|| TilePlan {
