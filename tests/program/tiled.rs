@@ -2,7 +2,7 @@
 //! number of threads, within the budget, and about as close as in core.
 
 use crate::TIGHT;
-use crate::support::{Folder, Kind, Mesh, torus};
+use crate::support::{Folder, Kind, Mesh, Outcome, field, program, torus};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -47,5 +47,34 @@ fn threads_change_nothing() {
     for threads in ["2", "5"] {
         tiled(&folder, &scan, &["--threads", threads]);
         assert!(std::fs::read(folder.path("out.ply")).unwrap() == bytes, "{threads} threads");
+    }
+}
+
+#[test]
+fn as_close_as_in_core() {
+    let folder = Folder::new();
+    let scan = folder.synth("scan.ply", "240000");
+    let e_avg = || {
+        let mut command = program();
+        command.arg("compare").arg(&scan).arg(folder.path("out.ply")).args(["--samples", "200k", "--json"]);
+        Outcome::of(command, folder.path("out.ply")).object["e_avg"].as_f64().unwrap()
+    };
+    tiled(&folder, &scan, &[]);
+    let there = e_avg();
+    folder.reduce(&scan, &["--faces", FACES, "--memory", "512MiB"]).done("in-core");
+    let core = e_avg();
+    assert!(there <= 1.1 * core, "{there} in tiles, {core} in core");
+}
+
+/// Where most collapses cost nothing, cost cannot say where to stop.
+#[test]
+fn a_flat_scan_has_the_count() {
+    let folder = Folder::new();
+    let flat = |mesh: Mesh| mesh.map(|p| [p[0], p[1], 0.0]);
+    let hills = field(400, 150).map(|p| [p[0], p[1] + 200.0, p[2]]);
+    for (name, mesh) in [("flat", flat(field(400, 300))), ("half", flat(field(400, 150)).and(hills))] {
+        tiled(&folder, &folder.scan(name, &mesh, Kind::Floats), &[]);
+        let mesh = Mesh::read(&folder.path("out.ply"));
+        assert!((59_999..=60_000).contains(&mesh.faces.len()), "{name}: {}", mesh.faces.len());
     }
 }
