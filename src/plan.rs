@@ -1,7 +1,7 @@
 //! What a memory budget buys for a scan: in core or out of core, and with how many cells.
 //!
-//! All sizes of a run follow from the scan, the ask and the budget, never from the threads or the machine, so that neither
-//! can change a byte of the result. What lives at the same time, in bytes:
+//! All sizes of a run follow from the scan, the ask and the budget, never from the threads or the machine, so that
+//! neither can change a byte of the result. What lives at the same time, in bytes:
 //!
 //! | | resident |
 //! |---|---|
@@ -20,10 +20,10 @@
 //! Out of core the collapse decides how many cells there are: 240 bytes each, two faces a cell. Scans differ, so the
 //! faces of the clustered mesh are counted before it is placed; one that is too large is clustered again, coarser.
 //!
-//! The intermediate mesh is [`AIM`] times as large as the result where that fits. Below [`LOW_RATIO`] times clustering would do most of
-//! the reduction, and the result be little better than clustering's: then the scan is cut into tiles on scratch, each
-//! small enough to be collapsed ([`TilePlan`]). What cannot be done in tiles (coarser meshes of the result) is clustered down
-//! to [`LEAST_RATIO`].
+//! The intermediate mesh is [`AIM`] times as large as the result where that fits. Below [`LOW_RATIO`] times clustering
+//! would do most of the reduction, and the result be little better than clustering's: then the scan is cut into tiles
+//! on scratch, each small enough to be collapsed ([`TilePlan`]). What cannot be done in tiles (coarser meshes of the
+//! result) is clustered down to [`LEAST_RATIO`].
 //!
 //! | in tiles | resident |
 //! |---|---|
@@ -54,7 +54,8 @@ pub const AIM: f64 = 10.0;
 /// Intermediate : target below which a budget is refused.
 pub const LEAST_RATIO: f64 = 2.0;
 
-/// Intermediate : target below which clustering shows: at 3.8 E_avg is 1.37 times that in core, and in tiles 1.01 to 1.05.
+/// Intermediate : target below which clustering shows: at 3.8 E_avg is 1.37 times that in core, and in tiles 1.01 to
+/// 1.05.
 pub const LOW_RATIO: f64 = 4.0;
 
 /// Faces of the intermediate mesh for each cell that is aimed at: a closed surface has two a vertex, the count of cells
@@ -70,15 +71,15 @@ const COLLAPSE_MARGIN: f64 = 0.07;
 /// What the lists of the collapse's rounds take, for each vertex that came in; they are gone when the last steps begin.
 const ROUND_BYTES: u64 = 24;
 
-/// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too. Eight a face
-/// in place of 34 cost a tenth of E_avg.
+/// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too.
+/// Eight a face in place of 34 cost a tenth of E_avg.
 const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
 const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
 /// Scratch that no scan is too small for.
 const LEAST_SAMPLE_SCRATCH_BYTES: u64 = 64 * MIB;
-/// Where cells are coarser than the intermediate mesh that is aimed at asks for, samples make up for some of it: as many
-/// more as the square of what is missing, up to this. On a noisy scan at eight times the target 60 in place of 40 a face lower
-/// E_avg by 0.8 %.
+/// Where cells are coarser than the intermediate mesh that is aimed at asks for, samples make up for some of it: as
+/// many more as the square of what is missing, up to this. On a noisy scan at eight times the target 60 in place of 40
+/// a face lower E_avg by 0.8 %.
 const MOST_COARSER: f64 = 2.0;
 /// By how much more surface a scan may have than its sample shows before samples are thinned.
 const SAMPLES_MARGIN: f64 = 1.15;
@@ -125,8 +126,8 @@ pub struct TilePlan {
 }
 
 impl TilePlan {
-    /// What scratch holds at most, for a scan of so many faces and a result of so many, about: the scan cut up, what the first
-    /// sweep has left, and samples before and after the second.
+    /// What scratch holds at most, for a scan of so many faces and a result of so many, about: the scan cut up, what
+    /// the first sweep has left, and samples before and after the second.
     pub fn scratch_bytes<S: Coordinate>(&self, faces: u64, target: u64) -> u64 {
         let face = 3 * size_of::<[S; 3]>() as u64;
         let meshes = face.saturating_mul(faces.saturating_add(3 * target));
@@ -142,10 +143,15 @@ const LEAST_TILE_SAMPLES: f64 = 6.0;
 /// How many times as many faces as its share a tile may have once it has been collapsed: where a scan is rough, and until
 /// the last collapses are chosen.
 const TILE_SLACK: f64 = 1.6;
+/// What lists of where records are take, counts of blocks, and buffers; budgets that leave less than four times as much
+/// are too small for tiles.
+const TILE_LISTS_BYTES: f64 = 2.0 * MIB as f64;
+/// The share of a scan's faces that tiles are good for: sweeps leave a quarter more than is asked until the last choice.
+const MOST_TILE_SHARE: f64 = 0.75;
 /// What is known of the last collapses, for each face of the result.
 const PROPOSAL_BYTES: f64 = 20.0;
-/// The fewest faces of the result in a tile, since vertices at its cuts stay: E_avg is 1.34 times that in core with 170 of them, 1.03 with
-/// 4,800, 1.006 with 17,000.
+/// The fewest faces of the result in a tile, since vertices at its cuts stay: E_avg is 1.34 times that in core with 170
+/// of them, 1.03 with 4,800, 1.006 with 17,000.
 const LEAST_TILE_FACES: f64 = 2000.0;
 
 /// What is to be paid for.
@@ -194,8 +200,8 @@ impl Purse {
         self.bytes.saturating_sub(BASE_BYTES + most_threads(self.bytes) as u64 * THREAD_BYTES)
     }
 
-    /// What is left for arrays while a scan streams past. It does not depend on the workers: their share is set aside as a
-    /// whole.
+    /// What is left for arrays while a scan streams past. It does not depend on the workers: their share is set aside
+    /// as a whole.
     pub fn while_streaming(&self) -> u64 {
         self.for_arrays().saturating_sub(aside(self.bytes))
     }
@@ -224,7 +230,8 @@ impl Purse {
         self.samples(scan, AIM) > 0
     }
 
-    /// Samples that are worth the trouble: a few more than refit asks for, since a scan may have less surface than it seems.
+    /// Samples that are worth the trouble: a few more than refit asks for, since a scan may have less surface than it
+    /// seems.
     fn least_samples(&self) -> u64 {
         (refit::LEAST_SAMPLES as u64 + 1).saturating_mul(self.ask.target)
     }
@@ -343,11 +350,13 @@ impl Purse {
         let a_face = first.max(TILE_SLACK * share * later.max(last));
         let whole = (12.0 + 1.5 * size_of::<S>() as f64) * target as f64;
         let arrays = self.for_arrays() as f64;
-        let left = arrays - PROPOSAL_BYTES * target as f64;
+        let left = arrays - TILE_LISTS_BYTES - PROPOSAL_BYTES * target as f64;
         let faces = (left / a_face).max(0.0) as u64;
         let streaming = self.while_streaming();
         let workers = most_threads(self.bytes) as u64;
-        let fits = whole <= arrays
+        let fits = arrays >= 4.0 * TILE_LISTS_BYTES
+            && share <= MOST_TILE_SHARE
+            && whole <= arrays
             && self.carrying_bytes::<S>(scan) <= self.for_arrays()
             && share * faces as f64 >= LEAST_TILE_FACES;
         fits.then(|| TilePlan {
@@ -390,7 +399,8 @@ impl Purse {
         (raw_faces, left, MeshLimit { face_bytes, vertex_bytes, bytes: self.for_collapse(cells as u64) })
     }
 
-    /// What the result takes with all that is carried over to it: less than the collapse did, but where nearly all is kept.
+    /// What the result takes with all that is carried over to it: less than the collapse did, but where nearly all is
+    /// kept.
     fn carrying_bytes<S: Coordinate>(&self, scan: &Scan) -> u64 {
         let result = (12 + 3 * size_of::<S>() as u64 / 2).saturating_mul(self.ask.target.min(scan.triangle_count()));
         if self.ask.carry_bytes == 0 { 0 } else { self.ask.carry_bytes.saturating_add(result) }

@@ -1,17 +1,17 @@
 //! Parallel batched edge collapse under quadrics: the reduced mesh in, the small mesh out.
 //!
-//! **The loop** (thesis §3.4, with the batches of §9.2): rank the edges → limit the round to the cheaper ones → select a
-//! batch → take back what folds → commit → compact. Far from the target a batch is of groups of up to a dozen vertices and a
-//! round takes three fifths of all; within five times the target it is a matching, of edges whose costs are kept from
-//! round to round, and takes up to 45 %; the last ones go one at a time from a heap, so that the count is exact: the target
-//! or one below it on manifolds, at most two below elsewhere.
+//! **The loop** (thesis §3.4, with the batches of §9.2): rank the edges → limit the round to the cheaper ones → select
+//! a batch → take back what folds → commit → compact. Far from the target a batch is of groups of up to a dozen
+//! vertices and a round takes three fifths of all; within five times the target it is a matching, of edges whose costs
+//! are kept from round to round, and takes up to 45 %; the last ones go one at a time from a heap, so that the count is
+//! exact: the target or one below it on manifolds, at most two below elsewhere.
 //!
-//! **The cost.** Every vertex carries what it has *learnt* of the scan: the sum of the area-weighted quadrics of all faces it
-//! stands for (thesis §3.4), from clustering where the scan was clustered. Down to five times the target, learnt
-//! quadrics choose what collapses and where to. From there on the planes of the *current* faces choose the place (each face
-//! of both stars once, as in Lindstrom–Turk's memoryless simplification), and the learnt quadric's value at that place is
-//! added to their cost at half weight: noisy planes of the scan, extended far from where they lie, are poor judges of
-//! where a vertex belongs, but they alone remember that a horn was longer.
+//! **The cost.** Every vertex carries what it has *learnt* of the scan: the sum of the area-weighted quadrics of all
+//! faces it stands for (thesis §3.4), from clustering where the scan was clustered. Down to five times the target,
+//! learnt quadrics choose what collapses and where to. From there on the planes of the *current* faces choose the place
+//! (each face of both stars once, as in Lindstrom–Turk's memoryless simplification), and the learnt quadric's value at
+//! that place is added to their cost at half weight: noisy planes of the scan, extended far from where they lie, are
+//! poor judges of where a vertex belongs, but they alone remember that a horn was longer.
 //!
 //! Measured with the last factor at ten, pairs throughout and no refit:
 //!
@@ -21,15 +21,16 @@
 //! | current quadrics for the last factor of ten | 1.66 | 0.48 | 0.48 | 1.20 |
 //! | current plus 0.5 × learnt | 0.72 | 0.51 | 0.52 | 0.88 |
 //!
-//! A piece of the mesh (a connected component) is not flattened for next to nothing: its last collapse costs at least what
-//! deviation would say of its loss (`pieces`).
+//! A piece of the mesh (a connected component) is not flattened for next to nothing: its last collapse costs at least
+//! what deviation would say of its loss (`pieces`).
 //!
-//! Attributes, where a scan has them and fits the budget, are solved for with the place (`shade`); seams are held (`seams`).
+//! Attributes, where a scan has them and fits the budget, are solved for with the place (`shade`); seams are held
+//! (`seams`).
 //!
-//! **Promises.** Input as it comes: borders, non-manifold edges and vertices, coincident and zero-area faces. No face turns
-//! over unless the count cannot be reached otherwise ([`Collapsed::folded`]). The same mesh for any number of threads, since
-//! every step is a function of the state before it. No constant depends on the scan's size: coordinates are in the
-//! [`Frame`](crate::mesh::Frame). Topology may change, as in the thesis: holes close, handles vanish.
+//! **Promises.** Input as it comes: borders, non-manifold edges and vertices, coincident and zero-area faces. No face
+//! turns over unless the count cannot be reached otherwise ([`Collapsed::folded`]). The same mesh for any number of
+//! threads, since every step is a function of the state before it. No constant depends on the scan's size: coordinates
+//! are in the [`Frame`](crate::mesh::Frame). Topology may change, as in the thesis: holes close, handles vanish.
 //!
 //! **Memory.** [`bytes`] of arrays: 36 a face and 113 a vertex (161 in doubles); compaction is in place.
 
@@ -91,8 +92,8 @@ pub struct Options<'a> {
     pub part: Option<Part>,
 }
 
-/// A part of a mesh, cut out to be collapsed alone. What decides is a cost that is the same in all parts: `target` is no count to reach, but
-/// what the part would have if all were thinned alike, which says how far off the end is.
+/// A part of a mesh, cut out to be collapsed alone. What decides is a cost that is the same in all parts: `target` is
+/// no count to reach, but what the part would have if all were thinned alike, which says how far off the end is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Part {
     /// Collapses that cost more are not done.
@@ -210,15 +211,15 @@ pub const LAST_FACTOR: usize = 5;
 /// At how many times the target the reference is kept: a tenth as many samples lose 2 % against all, a fifth 9 %.
 pub const REFERENCE_FACTOR: usize = 10;
 
-/// Weight of the learnt quadric in the cost of the last factor. 0 erodes thin parts (1.66 × QSlim's E_avg on the cow at 300
-/// faces against 0.72), 1 costs 10 % on smooth ones (femur).
+/// Weight of the learnt quadric in the cost of the last factor. 0 erodes thin parts (1.66 × QSlim's E_avg on the cow at
+/// 300 faces against 0.72), 1 costs 10 % on smooth ones (femur).
 const LEARNT_WEIGHT: f64 = 0.5;
 
 /// How far one round of groups goes.
 #[derive(Clone, Copy)]
 struct Stride {
-    /// Vertices that may move, those with the cheapest edges first, as a share. Without any limit rounds would thin a finely
-    /// and a coarsely meshed part alike, and a scan of uneven density would lose its coarse part.
+    /// Vertices that may move, those with the cheapest edges first, as a share. Without any limit rounds would thin a
+    /// finely and a coarsely meshed part alike, and a scan of uneven density would lose its coarse part.
     share: f64,
     /// Steps from a vertex to the pair that it follows.
     longest: usize,
@@ -232,8 +233,9 @@ const MIDDLE: Stride = Stride { share: 0.6, longest: 0 };
 
 /// Vertices that a round of pairs may remove, as a share: 0.35 gains nothing, for an eighth more rounds.
 const PAIRS_SHARE: f64 = 0.45;
-/// The edges that a round of pairs may choose from, as a multiple of the collapses it wants, from the cheapest up; there are
-/// three times as many edges as vertices. At 2.5 the cow at 300 faces is a third further off, and other models the same.
+/// The edges that a round of pairs may choose from, as a multiple of the collapses it wants, from the cheapest up;
+/// there are three times as many edges as vertices. At 2.5 the cow at 300 faces is a third further off, and other
+/// models the same.
 const PAIRS_SLACK: f64 = 1.5;
 
 /// Faces that are left to the heap above the target: at least the former, or this share of the target. Where only a few
@@ -241,8 +243,8 @@ const PAIRS_SLACK: f64 = 1.5;
 pub const TAIL_FACES: usize = 1000;
 const TAIL_SHARE: f64 = 0.02;
 
-/// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for more
-/// than five times the target neither matters yet.
+/// Faces that are left to the heap at least where it joins pieces or contracts faces, since rounds know edges only; for
+/// more than five times the target neither matters yet.
 const SERIAL_FACES: usize = 50_000;
 
 /// Where a round of groups removes fewer than one face in this many, pairs go on.
@@ -259,8 +261,8 @@ pub fn bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
 /// Bytes a vertex (or wedge) that each number adds that steers.
 pub const SHADE_BYTES: u64 = 4;
 
-/// Bytes that a reference of so many faces and vertices adds. One that is kept when twenty times the target or more come in
-/// adds nothing: by then the arrays of those that have gone make room.
+/// Bytes that a reference of so many faces and vertices adds. One that is kept when twenty times the target or more
+/// come in adds nothing: by then the arrays of those that have gone make room.
 pub fn reference_bytes<S: Coordinate>(faces: u64, vertices: u64) -> u64 {
     12 * faces + (3 * size_of::<S>() as u64 + 4) * vertices
 }

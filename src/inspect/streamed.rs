@@ -34,12 +34,7 @@ pub(super) fn findings(scan: &Scan, crew: &Crew<'_>, scratch: &Scratch, array_by
 }
 
 fn indexed(scan: &Scan, crew: &Crew<'_>, scratch: &Scratch, array_bytes: u64) -> Result<Findings> {
-    let extents = scan.vertices(crew, Extent::default, |extent, chunk| {
-        chunk.positions.iter().for_each(|p| extent.include(DVec3::from_array(*p)));
-        Ok(())
-    })?;
-    let extent = extents.into_iter().fold(Extent::default(), Extent::union);
-    extent.check(scan.path())?;
+    let extent = scan.extent(crew)?;
 
     // What may be had, the cheaper first; half is for the edges.
     let (vertices, mut left) = (scan.vertex_count(), array_bytes / 2);

@@ -5,6 +5,7 @@
 //! sequence of low discrepancy from a drawn start. Vertices: every so many, counted by number.
 
 use crate::facets::NUMBER_BITS;
+use crate::mesh::mix;
 use glam::DVec3;
 
 /// How samples are spread over the faces of a mesh.
@@ -53,15 +54,6 @@ const STEP: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
 #[inline(always)]
 pub(super) fn area_of(ab: DVec3, ac: DVec3) -> f64 {
     0.5 * ab.cross(ac).length()
-}
-
-/// Scatters bits (the finaliser of splitmix64).
-#[inline(always)]
-fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
 }
 
 /// In `0..1`, from the upper 32 bits.

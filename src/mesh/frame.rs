@@ -60,7 +60,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame in which the longest side of `extent` is in `[0.5, 1)`; the identity for a point or nothing at all.
+    /// The frame in which the longest side of `extent` is in `[0.5, 1)`, or a millionth less; the identity for a point or nothing at all.
     pub fn of(extent: &Extent) -> Self {
         // Where a scan is moved far away, its longest side rounds: by no more than this, so that a power of two gives the
         // same frame there.

@@ -7,6 +7,7 @@ pub mod coat;
 pub mod columns;
 mod frame;
 mod indexed;
+mod mix;
 mod reference;
 pub mod samples;
 pub mod tree;
@@ -16,6 +17,7 @@ mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
 pub use indexed::{IndexedMesh, narrow, step, widen};
+pub(crate) use mix::mix;
 pub use reference::Reference;
 pub use samples::{SampleFile, SurfaceSamples};
 pub use tree::{Nearest, Tree};

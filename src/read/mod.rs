@@ -43,10 +43,12 @@ pub use spool::{Compression, STDIN};
 pub use stream::Crew;
 
 use crate::error::{Error, Item, Result};
+use crate::mesh::Extent;
 use crate::mesh::coat::{Coat, Corners};
 use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use crate::scratch::Scratch;
+use glam::DVec3;
 use gltf::Gltf;
 use map::Input;
 use obj::ObjText;
@@ -354,6 +356,17 @@ impl Scan {
             Body::Gltf(gltf) => gltf.trailing,
             Body::Obj(_) | Body::Off(_) => 0,
         }
+    }
+
+    /// The box of all finite vertices, in the file's units.
+    pub fn extent(&self, crew: &Crew<'_>) -> Result<Extent> {
+        let found = self.vertices(crew, Extent::default, |extent, chunk| {
+            chunk.positions.iter().for_each(|p| extent.include(DVec3::from(*p)));
+            Ok(())
+        })?;
+        let extent = found.into_iter().fold(Extent::default(), Extent::union);
+        extent.check(self.path())?;
+        Ok(extent)
     }
 
     /// Streams the vertices (of a soup: the corners of its faces). Each worker's `W` sees some of the chunks.

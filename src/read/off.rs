@@ -126,7 +126,7 @@ pub(super) fn open(input: &Input, progress: &Progress) -> Result<Opened> {
         let what = format!("its {vertices} vertices and {faces} faces need more lines than {} bytes hold", input.len());
         return Err(Error::input(input.path(), what));
     }
-    let numbers = carried.numbers(first_line(&head[payload as usize..]));
+    let numbers = carried.numbers(first_line(head.get(payload as usize..).unwrap_or_default()));
     let text = Text::open(input, progress, Off { vertices, faces, numbers }, payload)?;
     let found = text.total;
     if (found.vertices, found.faces) != (vertices, faces) {

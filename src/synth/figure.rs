@@ -3,7 +3,8 @@
 //! A level of the sweep is an ellipse that a cubic spline through [`PROFILE`] gives; features, cloth, hair and weather are
 //! displacements along the ellipses' normal. The surface is smooth, closed, and the same on every machine.
 
-use super::noise::{Lattice, mix, ramp, signed_unit};
+use super::noise::{Lattice, ramp, signed_unit};
+use crate::mesh::mix;
 use glam::DVec3;
 
 /// Control levels: height, forward offset of the axis (−y is the front), half width, half depth.

@@ -13,11 +13,12 @@ mod noise;
 mod rings;
 
 use crate::error::{Error, Result};
+use crate::mesh::mix;
 use crate::progress::{Progress, Stage};
 use crate::write::{Format, Header, Sink, Target, ply_face, ply_vertex, stl_facet};
 use figure::Figure;
 use glam::{DVec3, Vec3};
-use noise::{mix, signed_unit};
+use noise::signed_unit;
 use rayon::prelude::*;
 use rings::{Ring, Rings};
 use std::io::Write;

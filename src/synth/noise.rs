@@ -1,5 +1,6 @@
 //! Noise that every machine agrees on: additions, multiplications, divisions and square roots only.
 
+use crate::mesh::mix;
 use glam::DVec3;
 
 const SIDE: usize = 64;
@@ -7,15 +8,6 @@ const SIDE: usize = 64;
 /// Periodic value noise on a lattice, smooth to the second derivative, in `[-1, 1]`.
 pub(super) struct Lattice {
     values: Vec<f32>,
-}
-
-/// A well-mixed number for every number (the finaliser of SplitMix64).
-#[inline]
-pub(super) fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ x >> 31
 }
 
 /// A number in `[-1, 1)` for every number.

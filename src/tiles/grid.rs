@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::mesh::{Coordinate, Extent, Frame};
-use crate::read::{Crew, Layout, Scan};
+use crate::read::{Crew, Scan};
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
@@ -114,23 +114,6 @@ pub(super) fn numbered<S: Coordinate>(numbers: [S; 3]) -> u64 {
     numbers.iter().rev().fold(0, |block, x| block << BITS | x.widen() as u64)
 }
 
-/// The box of all finite vertices, in the file's units.
-pub fn extent(scan: &Scan, crew: &Crew) -> Result<Extent> {
-    let found = match scan.layout() {
-        Layout::Indexed => scan.vertices(crew, Extent::default, |extent, chunk| {
-            chunk.positions.iter().for_each(|p| extent.include(DVec3::from(*p)));
-            Ok(())
-        })?,
-        Layout::Soup => scan.soup(crew, Extent::default, |extent, chunk| {
-            chunk.triangles.as_flattened().iter().for_each(|p| extent.include(DVec3::from(*p)));
-            Ok(())
-        })?,
-    };
-    let extent = found.into_iter().fold(Extent::default(), Extent::union);
-    extent.check(scan.path())?;
-    Ok(extent)
-}
-
 /// Counts by block.
 type Counts = FxHashMap<u64, u32>;
 
@@ -139,10 +122,7 @@ pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most:
     let place = |p: [f64; 3]| DVec3::from(p.map(|x| frame.to_frame(x)));
     let (min, max) = (place(extent.min.to_array()), place(extent.max.to_array()));
     let size = (max - min).max_element().max(f64::MIN_POSITIVE);
-    let each = match scan.layout() {
-        Layout::Indexed => scan.triangle_count() as f64 / scan.vertex_count().max(1) as f64,
-        Layout::Soup => 1.0,
-    };
+    let each = scan.triangle_count() as f64 / scan.vertex_count().max(1) as f64;
     let mut side = size * (1.0 + 1e-9) / f64::from(FIRST);
     for _ in 0..TURNS {
         let counts = count(scan, crew, &place, &Blocks::new(min, side))?;
@@ -160,31 +140,19 @@ pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most:
     Ok(None)
 }
 
-/// Vertices of a scan, or first corners of its faces, by block.
+/// Vertices of a scan by block.
 fn count(scan: &Scan, crew: &Crew, place: &(impl Fn([f64; 3]) -> DVec3 + Sync), blocks: &Blocks) -> Result<Counts> {
-    let add = |counts: &mut Counts, p: [f64; 3]| {
-        let p = place(p);
-        if p.is_finite() {
+    let found = scan.vertices(crew, Counts::default, |counts, chunk| {
+        for p in chunk.positions.iter().map(|p| place(*p)).filter(|p| p.is_finite()) {
             *counts.entry(blocks.of(p)).or_insert(0) += 1;
         }
+        Ok(())
+    })?;
+    let together = |mut all: Counts, counts: Counts| {
+        counts.into_iter().for_each(|(block, n)| *all.entry(block).or_insert(0) += n);
+        all
     };
-    let found = match scan.layout() {
-        Layout::Indexed => scan.vertices(crew, Counts::default, |counts, chunk| {
-            chunk.positions.iter().for_each(|p| add(counts, *p));
-            Ok(())
-        })?,
-        Layout::Soup => scan.soup(crew, Counts::default, |counts, chunk| {
-            chunk.triangles.iter().for_each(|face| add(counts, face[0]));
-            Ok(())
-        })?,
-    };
-    Ok(found
-        .into_iter()
-        .reduce(|mut all, counts| {
-            counts.into_iter().for_each(|(block, n)| *all.entry(block).or_insert(0) += n);
-            all
-        })
-        .unwrap_or_default())
+    Ok(found.into_iter().reduce(together).unwrap_or_default())
 }
 
 /// The cube of so many blocks along each side that a block is in.

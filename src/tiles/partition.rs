@@ -1,8 +1,8 @@
 //! A mesh cut into blocks: faces with the positions of their corners, so that any tile can be welded again.
 //!
-//! A vertex that faces of two tiles share must stay where it is while either is collapsed, or they would come apart. A tile
-//! knows of some by itself: those that lie in another tile. The others, in a tile but used from outside, are its *guests*:
-//! each face tells the blocks of its corners that it uses them.
+//! A vertex that faces of two tiles share must stay where it is while either is collapsed, or they would come apart. A
+//! tile knows of some by itself: those that lie in another tile. The others, in a tile but used from outside, are its
+//! *guests*: each face tells the blocks of its corners that it uses them.
 
 use super::grid::{Blocks, Lie, numbered, numbers};
 use super::store::{Run, Store, Writer, records};
@@ -276,7 +276,7 @@ mod tests {
         target.write_mesh(&square(64), Frame::default(), &progress).unwrap();
         let scan = Scan::open(&path, &progress).unwrap();
         let crew = crate::read::Crew { workers: 2, progress: &progress };
-        let extent = grid::extent(&scan, &crew).unwrap();
+        let extent = scan.extent(&crew).unwrap();
         assert_eq!(extent, Extent { min: DVec3::ZERO, max: DVec3::new(1.0, 1.0, 0.0) });
         grid::blocks(&scan, &crew, (Frame::default(), &extent), most).unwrap().unwrap()
     }

@@ -1,12 +1,11 @@
 //! Samples of the scan on their way through the sweeps: each stays with a vertex of the mesh.
 
-use super::grid::Blocks;
-use super::grid::Lie;
+use super::grid::{Blocks, Lie};
 use super::partition::Tile;
 use super::store::{Run, Store, Tiles, records};
 use crate::error::Result;
 use crate::mesh::samples::{Lattice, SAMPLE_BYTES, SurfaceSample};
-use crate::mesh::{Coordinate, IndexedMesh, step, widen};
+use crate::mesh::{Coordinate, IndexedMesh, mix, step, widen};
 use crate::scratch::Scratch;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -26,8 +25,8 @@ pub struct SampleStore<S> {
     scalar: PhantomData<S>,
 }
 
-/// Draws so many samples for a unit of area from the faces of a mesh, each near one of its vertices. A face has what its area
-/// asks for, rounded up or down by a hash of where it lies.
+/// Draws so many samples for a unit of area from the faces of a mesh, each near one of its vertices. A face has what
+/// its area asks for, rounded up or down by a hash of where it lies.
 pub fn draw<S: Coordinate>(mesh: &IndexedMesh<S>, lattice: &Lattice, rate: f64) -> Vec<SurfaceSample> {
     let of_face = |face: &[u32; 3]| {
         let corners = face.map(|v| mesh.positions[v as usize]);
@@ -61,14 +60,6 @@ pub fn draw<S: Coordinate>(mesh: &IndexedMesh<S>, lattice: &Lattice, rate: f64) 
 /// In `0..1`, from 24 bits.
 fn part(bits: u64) -> f64 {
     (bits & 0xff_ffff) as f64 / f64::from(1 << 24)
-}
-
-/// Scatters bits (the finaliser of splitmix64).
-fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
 }
 
 impl<S: Coordinate> SampleStore<S> {

@@ -22,6 +22,7 @@ mod render;
 mod seams;
 mod support;
 mod thesis;
+mod tiled;
 mod uneven;
 
 /// A budget in which scans of 100,000 faces and more go out of core.

@@ -14,7 +14,7 @@ pub(super) struct Tiled<S> {
     pub tiles: Vec<Kept>,
     proposals: Vec<Offer<S>>,
     pub faces: u64,
-    /// The largest estimated error, in the frame.
+    /// The largest estimated errors of all sweeps until now together, in the frame.
     pub error: f64,
 }
 

@@ -1,19 +1,23 @@
 //! Results that are too large for clustering: collapsed tile by tile on scratch (`tiles`), by one cost for all.
 //!
 //! 1. The scan is cut up.
-//! 2. A *pilot*, pieces from all over the scan in memory together, is collapsed by one cost after another until the share of faces is
+//! 2. A *pilot*, pieces from all over the scan in memory together, is collapsed by one cost after another until the
+//!    share of faces is
 //!    left that is wanted, and a little more: that cost is for all tiles. A quota for each would thin rough parts and flat
 //!    ones alike.
-//! 3. A first sweep collapses every tile of the scan to that cost. Vertices at the cuts stay, as dense as they were. Samples
+//! 3. A first sweep collapses every tile of the scan to that cost. Vertices at the cuts stay, as dense as they were.
+//!    Samples
 //!    of the scan go along, each near a vertex.
-//! 4. A second sweep, whose tiles are shifted by half, does the same to what is left, so that it thins what was cut before, and
+//! 4. A second sweep, whose tiles are shifted by half, does the same to what is left, so that it thins what was cut
+//!    before, and
 //!    tells what it would collapse next.
-//! 5. Of those collapses, none of which touches another, the cheapest are taken that bring the count to the one asked for.
+//! 5. Of those collapses, none of which touches another, the cheapest are taken that bring the count to the one asked
+//!    for.
 //!    Each tile is refitted to its samples, and they are joined.
 //!
-//! Where the sweeps leave more than a tenth too much two others follow, to a higher cost: what is at the cuts of the last one, which the
-//! one before it has thinned to the same cost, is then hardly denser than the rest. Where one of these leaves too little, the
-//! one before it counts; where the first ones do, all is begun again, with a lower cost.
+//! Where the sweeps leave more than a tenth too much two others follow, to a higher cost: what is at the cuts of the
+//! last one, which the one before it has thinned to the same cost, is then hardly denser than the rest. Where one of
+//! these leaves too little, the one before it counts; where the first ones do, all is begun again, with a lower cost.
 
 mod kept;
 mod pilot;
@@ -27,7 +31,6 @@ use crate::mesh::{Coordinate, Frame, IndexedMesh, SurfaceSamples, Wedges};
 use crate::plan::TilePlan;
 use crate::progress::Stage;
 use crate::refit::{Aim, Held, refit};
-use crate::scratch::Scratch;
 use crate::tiles::{self, Blocks, Cut, Lie, Partition, SampleStore};
 use glam::DVec3;
 use kept::{Joined, Tiled, apply};
@@ -35,11 +38,14 @@ use std::time::Instant;
 
 /// How many times as many faces as are asked for the first sweeps are to leave. The pilot is within a tenth.
 const SPARE: f64 = 1.25;
-/// How many the last sweep is to leave, and at most: vertices at its cuts are as dense as it left them, and must not stand out.
+/// How many the last sweep is to leave, and at most: vertices at its cuts are as dense as it left them, and must not
+/// stand out.
 const SPARE_AT_END: f64 = 1.05;
 const NEAR_END: f64 = 1.1;
 /// The cost of a collapse goes with the cube of the area that a face stands for.
 const COST_POWER: f64 = 3.0;
+/// The share of a flat tile's faces that sweeps after the first leave: what was cut before is denser than that.
+const FLOOR_AGAIN: f64 = 0.95;
 /// Sweeps, and beginnings, at most.
 const MOST_SWEEPS: u32 = 12;
 
@@ -73,9 +79,26 @@ struct Mill<'a, S> {
 /// What all tiles go by.
 #[derive(Debug, Clone, Copy)]
 struct Threshold {
+    /// Collapses that cost more are not done.
     cost: f32,
-    /// Whether next to nothing costs anything, so that tiles are held to their share.
-    held_to_share: bool,
+    /// The share of a part's faces that stays whatever they cost: 0 but where so much of a scan is flat that cost does
+    /// not tell where to stop.
+    floor: f64,
+}
+
+impl Threshold {
+    /// That of a sweep after the first, which finds tiles at their floor.
+    fn again(self) -> Self {
+        Threshold { floor: if self.floor > 0.0 { FLOOR_AGAIN } else { 0.0 }, ..self }
+    }
+
+    /// Another one, after this has left so many times as much as was wanted.
+    fn after(self, times: f64) -> Self {
+        match self.floor > 0.0 {
+            true => Threshold { floor: (self.floor / times.clamp(0.5, 1.5)).min(1.0), ..self },
+            false => Threshold { cost: self.cost * (times.powf(COST_POWER) as f32).max(1e-6), ..self },
+        }
+    }
 }
 
 /// A mesh between two sweeps.
@@ -83,6 +106,8 @@ struct Between<S> {
     mesh: Partition<S>,
     samples: SampleStore<S>,
     faces: u64,
+    /// The largest estimated errors of the sweeps that have made it, together.
+    error: f64,
 }
 
 impl Run<'_> {
@@ -113,7 +138,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     fn cut_up(run: &'a Run<'a>, asked: u64, plan: TilePlan) -> Result<Self> {
         let (scan, crew) = (run.scan, read_crew(&run.purse, run.progress));
         run.progress.begin(Stage::Read, 3 * scan.bytes());
-        let extent = tiles::extent(scan, &crew)?;
+        let extent = scan.extent(&crew)?;
         let frame = Frame::of(&extent);
         let Some(blocks) = tiles::blocks(scan, &crew, (frame, &extent), plan.faces)? else {
             let what =
@@ -129,39 +154,36 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         Ok(Mill { run, plan, asked, frame, blocks, lattice, scan: partition, cut })
     }
 
-    fn scratch(&self) -> &Scratch {
-        &self.run.scratch
-    }
-
     /// All sweeps, until one more choice gives the count.
     fn grind(&self) -> Result<Tiled<S>> {
-        let mut threshold = self.pilot()?;
         self.run.progress.begin(Stage::Collapse, self.cut.faces.saturating_sub(self.asked));
+        let mut threshold = self.pilot()?;
         let mut between = self.first_sweep(threshold)?;
         let mut lie = Lie::Shifted;
         let mut before: Option<Tiled<S>> = None;
         // Whether the last two sweeps went to the same cost, so that what is at the cuts of one was thinned by the other.
         let mut is_even = true;
         for _ in 0..MOST_SWEEPS {
-            let tiled = self.sweep(&between, threshold, lie)?;
+            let tiled = self.sweep(between, threshold.again(), lie)?;
             let times = |spare: f64| tiled.faces as f64 / (spare * self.asked as f64);
             let is_within_reach = tiled.faces.saturating_sub(tiled.removable()) <= self.asked;
-            if tiled.faces < self.asked {
-                if let Some(before) = before {
-                    return Ok(before);
-                }
-                threshold.cost *= (times(SPARE).powf(COST_POWER) as f32).max(1e-6);
+            let is_flat = threshold.floor > 0.0;
+            if let Some(before) = before.filter(|_| tiled.faces < self.asked) {
+                return Ok(before);
+            }
+            if tiled.faces < self.asked || is_flat && !is_within_reach {
+                threshold = threshold.after(times(SPARE));
                 between = self.first_sweep(threshold)?;
-                (lie, is_even) = (Lie::Shifted, true);
+                (lie, is_even, before) = (Lie::Shifted, true, None);
                 continue;
             }
-            let is_near = is_within_reach && times(NEAR_END) <= 1.0;
+            let is_near = is_within_reach && (is_flat || times(NEAR_END) <= 1.0);
             if is_near && is_even {
                 return Ok(tiled);
             }
             is_even = is_near;
             if !is_near {
-                threshold.cost *= times(SPARE_AT_END).max(1.05).powf(COST_POWER) as f32;
+                threshold = threshold.after(times(SPARE_AT_END).max(1.05));
             }
             between = self.put_back(&tiled)?;
             lie = lie.other();
@@ -182,7 +204,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     ) -> Result<Collapsed<S>> {
         let share = self.asked as f64 / whole.max(1) as f64;
         let target = (share * mesh.faces.len() as f64).ceil() as usize;
-        let least = if threshold.held_to_share { (SPARE * share * mesh.faces.len() as f64).ceil() as usize } else { 0 };
+        let least = (threshold.floor * mesh.faces.len() as f64).ceil() as usize;
         let options = collapse::Options {
             policies: self.run.job.policies.in_frame(self.frame),
             part: Some(Part { most_cost: threshold.cost, least, proposes }),
@@ -208,6 +230,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
             let collapsed = self.part(mesh, (locked, homes), self.cut.faces, threshold, false)?;
             follow(&mut samples, &collapsed.homes);
             self.run.progress.add(place.faces() - collapsed.mesh.faces.len() as u64);
+            between.error = between.error.max(collapsed.error_estimate);
             between.add(&self.blocks, &collapsed.mesh, &samples)?;
         }
         Ok(between)
@@ -215,13 +238,13 @@ impl<'a, S: Coordinate> Mill<'a, S> {
 
     fn nothing_between(&self) -> Result<Between<S>> {
         let bytes = self.plan.writer_bytes;
-        let samples = SampleStore::new(bytes, self.scratch())?;
-        Ok(Between { mesh: Partition::new(self.blocks, bytes, self.scratch())?, samples, faces: 0 })
+        let samples = SampleStore::new(bytes, &self.run.scratch)?;
+        Ok(Between { mesh: Partition::new(self.blocks, bytes, &self.run.scratch)?, samples, faces: 0, error: 0.0 })
     }
 
     /// Collapses the tiles of what another sweep has left, and asks what would be next.
-    fn sweep(&self, between: &Between<S>, threshold: Threshold, lie: Lie) -> Result<Tiled<S>> {
-        let mut tiled = Tiled::new(self.scratch())?;
+    fn sweep(&self, between: Between<S>, threshold: Threshold, lie: Lie) -> Result<Tiled<S>> {
+        let mut tiled = Tiled::new(&self.run.scratch)?;
         let samples_of = between.samples.tiles(lie);
         for (tile, place) in between.mesh.tiles(lie) {
             let loaded = between.mesh.load(lie, tile, &place)?;
@@ -233,12 +256,13 @@ impl<'a, S: Coordinate> Mill<'a, S> {
             self.run.progress.add(place.faces() - collapsed.mesh.faces.len() as u64);
             tiled.keep(collapsed, &samples)?;
         }
+        tiled.error += between.error;
         Ok(tiled)
     }
 
     /// Cuts up again what a sweep has left, for another one.
     fn put_back(&self, tiled: &Tiled<S>) -> Result<Between<S>> {
-        let mut between = self.nothing_between()?;
+        let mut between = Between { error: tiled.error, ..self.nothing_between()? };
         for kept in &tiled.tiles {
             let (mesh, _, samples) = tiled.load(kept)?;
             between.add(&self.blocks, &mesh, &samples)?;
@@ -251,7 +275,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let chosen = tiled.choose(self.asked);
         self.run.progress.begin(Stage::Refit, tiled.tiles.len() as u64);
         let unseen = self.run.progress.unseen();
-        let mut joined = Joined::new(self.scratch())?;
+        let mut joined = Joined::new(&self.run.scratch)?;
         let mut offers = chosen.as_slice();
         for (number, kept) in tiled.tiles.iter().enumerate() {
             self.run.progress.check()?;

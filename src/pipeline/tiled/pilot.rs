@@ -10,47 +10,83 @@ use std::collections::BTreeMap;
 /// How near to what is wanted the pilot is to come.
 const NEAR_ENOUGH: f64 = 0.03;
 /// Collapses of the pilot, at most.
-const PILOT_TURNS: u32 = 12;
+const TURNS: u32 = 12;
 /// Faces of the pilot, about.
 const PILOT_FACES: u64 = 1_500_000;
 /// Faces of a piece, if tiles have so many: enough for its cut border not to matter.
 const PIECE_FACES: u64 = 20_000;
 /// What a collapse costs, about, for the square of the area of a face that is left: where the search begins.
 const FIRST_COST: f64 = 1e-3;
+/// Below this a cost is none.
+const LEAST_COST: f64 = f32::MIN_POSITIVE as f64;
 /// The part of a piece, on either side, where its cut border is felt.
 const RIM: f64 = 0.15;
+
+/// Pieces of a scan, to try thresholds on.
+struct Pilot<'a, 'b, S> {
+    mill: &'a Mill<'b, S>,
+    mesh: IndexedMesh<S>,
+    /// How many there are along the side of a block.
+    pieces: f64,
+    /// Faces that are to be left of each that is there, away from where pieces were cut.
+    wanted: f64,
+}
+
+impl<'a, 'b, S: Coordinate> Pilot<'a, 'b, S> {
+    fn of(mill: &'a Mill<'b, S>) -> Result<Self> {
+        let (mesh, pieces) = mill.pieces()?;
+        let before = mill.inner(&mesh, pieces).max(1) as f64;
+        let wanted = SPARE * mill.asked as f64 / mill.cut.faces as f64 * before;
+        Ok(Pilot { mill, mesh, pieces, wanted })
+    }
+
+    /// How many times as much as is wanted two sweeps leave.
+    fn times(&self, threshold: Threshold) -> Result<f64> {
+        let Pilot { mill, mesh, .. } = self;
+        mill.run.progress.check()?;
+        let first = mill.part(mesh.clone(), Default::default(), mill.cut.faces, threshold, false)?.mesh;
+        let whole = (mill.cut.faces as f64 * first.faces.len() as f64 / mesh.faces.len().max(1) as f64) as u64;
+        let second = mill.part(first, Default::default(), whole, threshold.again(), false)?.mesh;
+        Ok(mill.inner(&second, self.pieces) as f64 / self.wanted)
+    }
+
+    /// Where what costs nothing is more than is to go: the share that is to stay.
+    fn floor(&self) -> Result<Threshold> {
+        let (mut low, mut high) = (0.0f64, 1.0);
+        let mut threshold = Threshold { cost: LEAST_COST as f32, floor: 0.5 };
+        for _ in 0..TURNS {
+            threshold.floor = f64::midpoint(low, high);
+            let times = self.times(threshold)?;
+            if (times - 1.0).abs() < NEAR_ENOUGH {
+                break;
+            }
+            (low, high) = if times > 1.0 { (low, threshold.floor) } else { (threshold.floor, high) };
+        }
+        Ok(threshold)
+    }
+}
 
 impl<S: Coordinate> Mill<'_, S> {
     /// Finds the cost down to which everything is to be collapsed.
     pub(super) fn pilot(&self) -> Result<Threshold> {
-        let (mesh, pieces) = self.pieces()?;
-        let before = self.inner(&mesh, pieces).max(1) as f64;
-        let wanted = SPARE * self.asked as f64 / self.cut.faces as f64;
+        let pilot = Pilot::of(self)?;
         let area = self.cut.area() / (self.asked as f64).max(1.0);
-        let mut cost = (FIRST_COST * area * area).max(f64::from(f32::MIN_POSITIVE));
+        let mut cost = (FIRST_COST * area * area).max(LEAST_COST);
         let (mut low, mut high) = (0.0f64, f64::INFINITY);
-        for _ in 0..PILOT_TURNS {
-            self.run.progress.check()?;
-            let threshold = Threshold { cost: cost as f32, held_to_share: false };
-            let first = self.part(mesh.clone(), Default::default(), self.cut.faces, threshold, false)?.mesh;
-            let whole = (self.cut.faces as f64 * first.faces.len() as f64 / mesh.faces.len().max(1) as f64) as u64;
-            let second = self.part(first, Default::default(), whole, threshold, false)?.mesh;
-            let off = self.inner(&second, pieces) as f64 / before / wanted;
-            if (off - 1.0).abs() < NEAR_ENOUGH {
+        for _ in 0..TURNS {
+            let times = pilot.times(Threshold { cost: cost as f32, floor: 0.0 })?;
+            if (times - 1.0).abs() < NEAR_ENOUGH {
                 break;
             }
-            (low, high) = if off > 1.0 { (cost, high) } else { (low, cost) };
-            let next = cost * off.powf(COST_POWER).clamp(1e-4, 1e4);
-            cost = if next <= low || next >= high {
-                (low.max(1e-6 * high) * high.min(1e6 * low.max(f64::MIN_POSITIVE))).sqrt()
-            } else {
-                next
-            };
-            if cost < f64::from(f32::MIN_POSITIVE) {
-                return Ok(Threshold { cost: f32::MIN_POSITIVE, held_to_share: true });
+            (low, high) = if times > 1.0 { (cost, high) } else { (low, cost) };
+            let next = cost * times.powf(COST_POWER).clamp(1e-4, 1e4);
+            let is_between = low < next && next < high;
+            cost = if is_between { next } else { (low.max(1e-6 * high) * high).sqrt() };
+            if cost < LEAST_COST {
+                return pilot.floor();
             }
         }
-        Ok(Threshold { cost: cost as f32, held_to_share: false })
+        Ok(Threshold { cost: cost as f32, floor: 0.0 })
     }
 
     /// Pieces from all over the scan, cubes of it, and how many of them there are along the side of a block.
@@ -72,7 +108,7 @@ impl<S: Coordinate> Mill<'_, S> {
             [1, 2].into_iter().map(cubes_of).find(enough).unwrap_or_else(|| cubes_of(4))
         };
         let parts = if pieces > 1.0 { 4 } else { 1 };
-        let every = (self.cut.faces / parts / wanted).max(1) as usize;
+        let every = (self.cut.faces / parts / wanted).clamp(1, cubes.len().max(1) as u64) as usize;
         let mut soup: Vec<[[S; 3]; 3]> = Vec::new();
         for (cube, runs) in cubes.into_iter().skip(every / 2).step_by(every) {
             let mut faces = self.scan.soup(&runs)?;
