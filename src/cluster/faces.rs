@@ -1,8 +1,8 @@
 //! The face pass: every face adds its plane to the cells of its corners, and survives if they are three.
 //!
-//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, edges, cross products,
-//! normals, samples (all of these without a branch, several faces at a time), sums. One face at a time would wait for its own
-//! square root and division.
+//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, edges, cross
+//! products, normals, samples (all of these without a branch, several faces at a time), sums. One face at a time would
+//! wait for its own square root and division.
 
 use super::corners::{BATCH, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, absolute, coordinates, is_far};
@@ -255,8 +255,8 @@ impl Batch {
         }
     }
 
-    /// How many samples faces ask for: as many as their weight comes to, rounded up or down by what chance has drawn. Returns
-    /// how many ask for any.
+    /// How many samples faces ask for: as many as their weight comes to, rounded up or down by what chance has drawn.
+    /// Returns how many ask for any.
     fn sample(&mut self, end: usize, rate: f32) -> usize {
         let counts = self.samples[..end].iter_mut().zip(&self.w).zip(&self.lots);
         for ((count, w), lot) in counts {
@@ -287,8 +287,8 @@ impl Batch {
     }
 }
 
-/// The cross product of a face with long edges, made shorter where its square would overflow, as it may with a corner in a far
-/// cell: its weight is beyond all bounds anyway.
+/// The cross product of a face with long edges, made shorter where its square would overflow, as it may with a corner
+/// in a far cell: its weight is beyond all bounds anyway.
 #[cold]
 fn long_cross(face: [Corner; 3], keys: [u64; 3]) -> [f32; 3] {
     let p: [[i64; 3]; 3] = std::array::from_fn(|corner| absolute(face[corner], keys[corner]));

@@ -99,8 +99,8 @@ pub(super) struct Grid {
     in_file: Option<(DVec3, f64)>,
 }
 
-/// Within these bounds of its side's exponent a scan is measured in its own units: scaling by a power of two is exact, so that
-/// steps come out the same.
+/// Within these bounds of its side's exponent a scan is measured in its own units: scaling by a power of two is exact,
+/// so that steps come out the same.
 const ORDINARY: std::ops::Range<f64> = 1e-150..1e150;
 
 impl Grid {

@@ -1,8 +1,8 @@
 //! Samples of the surface, taken while faces stream past, for the refit of the result.
 //!
-//! What clustering makes of a scan is not the scan: a cell's vertex lies where its planes agree, and parts thinner than a cell
-//! are lost or swollen. The refit measures against points of the scan itself. At 8 times the target that takes 6 %
-//! off E_avg, at 4 times a quarter, at twice nearly a half.
+//! What clustering makes of a scan is not the scan: a cell's vertex lies where its planes agree, and parts thinner than
+//! a cell are lost or swollen. The refit measures against points of the scan itself. At 8 times the target that takes 6
+//! % off E_avg, at 4 times a quarter, at twice nearly a half.
 //!
 //! A face gets as many samples as its area asks for, rounded up or down by a hash of where it lies: neither threads nor
 //! the order of faces decide. Were there more than was estimated, all go whose level is too low.

@@ -60,8 +60,8 @@ const HELD_BACK: usize = 256;
 /// Bytes of a [`Marker`].
 pub(super) const MARKER_BYTES: usize = HELD_BACK * 12;
 
-/// A worker's end of a [`Used`]: faces that follow one another use the same few words of vertices again and again. Nothing
-/// counts until [`Marker::flush`].
+/// A worker's end of a [`Used`]: faces that follow one another use the same few words of vertices again and again.
+/// Nothing counts until [`Marker::flush`].
 pub(super) struct Marker<'a> {
     used: &'a Used,
     /// The number of each held word.

@@ -1,8 +1,8 @@
 //! Points of a scan's surface, on scratch while the scan is reduced, in memory when the result is fitted to them.
 //!
-//! They are spread evenly over the surface's area, so that each stands for as much of it as any other. A scan may have more
-//! surface than was thought before it was read; thinning by [`SurfaceSample::level`], a hash of what the sample is, then
-//! leaves the same ones whatever the order in which they came.
+//! They are spread evenly over the surface's area, so that each stands for as much of it as any other. A scan may have
+//! more surface than was thought before it was read; thinning by [`SurfaceSample::level`], a hash of what the sample
+//! is, then leaves the same ones whatever the order in which they came.
 
 use super::Coordinate;
 use crate::error::Result;
@@ -74,8 +74,8 @@ impl SurfaceSample {
 /// Bits of a place on the lattice, an axis.
 const BITS: u32 = 21;
 
-/// Where samples can lie: 2²¹ steps along the longest side. Where a thousand faces follow one another, that is an error of
-/// 1/5,000 of a face, and it has no bias.
+/// Where samples can lie: 2²¹ steps along the longest side. Where a thousand faces follow one another, that is an error
+/// of 1/5,000 of a face, and it has no bias.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lattice {
     origin: DVec3,

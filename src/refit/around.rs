@@ -1,6 +1,7 @@
 //! The faces around a vertex, laid out so that a point is held against eight of them at a time.
 //!
-//! Samples of one vertex follow one another, and each begins with the same faces: their edges and normals are worked out once.
+//! Samples of one vertex follow one another, and each begins with the same faces: their edges and normals are worked
+//! out once.
 
 use super::NONE;
 use super::ground::{Ground, ROUNDING};

@@ -111,8 +111,8 @@ impl<S: Coordinate> Ground<'_, S> {
     }
 
     /// Whether a place is nearer than another by more than rounding. What is nearest to an edge is as near to both its
-    /// faces: the last bit must not choose between them, or a scan moved to where doubles round otherwise would be refitted
-    /// otherwise. Where single precision cannot tell, doubles are asked.
+    /// faces: the last bit must not choose between them, or a scan moved to where doubles round otherwise would be
+    /// refitted otherwise. Where single precision cannot tell, doubles are asked.
     #[inline(always)]
     fn is_nearer(&self, point: [S; 3], place: Place, best: Place) -> bool {
         place.distance_sq < best.distance_sq && {

@@ -1,22 +1,23 @@
 //! Refit: the reduced mesh's vertices move, and edges flip, to where the scan is.
 //!
-//! Quadrics measure distance to *planes*, deviation is distance to the *surface*. Once the count is right, each vertex can
-//! be put where the surface asks for it: samples of the scan find the faces that they are nearest to, and the vertices take the least-squares step towards them, as in Hoppe's
-//! mesh optimisation (the thesis's decoupled synthesis, §9.2). One round takes 15 to 30 % off E_avg. In core the samples are of
-//! a [`Reference`], which is what was left of the scan at ten times the target; out of core clustering has taken them from the
-//! scan itself ([`SurfaceSamples`]).
+//! Quadrics measure distance to *planes*, deviation is distance to the *surface*. Once the count is right, each vertex
+//! can be put where the surface asks for it: samples of the scan find the faces that they are nearest to, and the
+//! vertices take the least-squares step towards them, as in Hoppe's mesh optimisation (the thesis's decoupled
+//! synthesis, §9.2). One round takes 15 to 30 % off E_avg. In core the samples are of a [`Reference`], which is what
+//! was left of the scan at ten times the target; out of core clustering has taken them from the scan itself
+//! ([`SurfaceSamples`]).
 //!
 //! **A round.** `samples` → nearest faces, by a walk that starts where the collapse has put the sample's vertex
 //! (`ground`) → one block a face, a few steps of conjugate gradients (`system`) → steps that turn a face are halved
 //! until none does. From the second round on, edges flip first where that brings samples nearer (`flip`), and points of
 //! the result look for the reference too: faces that slide past the end of a thin part would else never be called back.
 //!
-//! **Promises.** No face turns by more than `LEAST_COSINE` allows in a round, none looks away from its samples; the count stays.
-//! Borders and what is not manifold stay where they are. The same mesh for any number of threads.
+//! **Promises.** No face turns by more than `LEAST_COSINE` allows in a round, none looks away from its samples; the
+//! count stays. Borders and what is not manifold stay where they are. The same mesh for any number of threads.
 //!
-//! **Memory.** The reference is 12 bytes a face and 16 a vertex, its samples 24 a face; the result takes [`BYTES_A_FACE`]. At a
-//! reference of [`LEAST_RATIO`] times the result that is 96 for each of its faces; the collapse before took 112. Samples of the
-//! scan are [`BYTES_A_SAMPLE`] each.
+//! **Memory.** The reference is 12 bytes a face and 16 a vertex, its samples 24 a face; the result takes
+//! [`BYTES_A_FACE`]. At a reference of [`LEAST_RATIO`] times the result that is 96 for each of its faces; the collapse
+//! before took 112. Samples of the scan are [`BYTES_A_SAMPLE`] each.
 
 mod around;
 mod flip;
@@ -44,7 +45,8 @@ use wide::f32x8;
 /// No face, no vertex.
 const NONE: u32 = u32::MAX;
 
-/// Reference : result below which there is nothing to gain: fewer than nine samples a face would be followed into the noise.
+/// Reference : result below which there is nothing to gain: fewer than nine samples a face would be followed into the
+/// noise.
 pub const LEAST_RATIO: usize = 3;
 
 /// Samples of the scan for each face of the result. At 24 E_avg is 2 % more, at 10 9 %, at 5 a fifth; 48 gain

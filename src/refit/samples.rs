@@ -7,8 +7,8 @@ use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, st
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Points of a face of the reference, by barycentric coordinates: exact for squared distances to a plane. At ten times the
-/// target that is 30 to a face of the result; its centroid alone loses 4 % of E_avg.
+/// Points of a face of the reference, by barycentric coordinates: exact for squared distances to a plane. At ten times
+/// the target that is 30 to a face of the result; its centroid alone loses 4 % of E_avg.
 pub(super) const POINTS: [[f32; 3]; 3] = [[A, B, B], [B, A, B], [B, B, A]];
 const A: f32 = 2.0 / 3.0;
 const B: f32 = 1.0 / 6.0;

@@ -1,9 +1,9 @@
 //! The least-squares system of one round: where the vertices should go.
 //!
-//! A sample at `s`, nearest to the place `Σ λᵢ xᵢ` on a face with unit normal `n`, asks that moving the face's vertices by
-//! `δᵢ` brings the place to it: `w·(n·(Σ λᵢ δᵢ − r))² + μ·w·|Σ λᵢ δᵢ − r|²`, `r` from the place to the sample. All samples of
-//! a face share `n`, so that a face adds up to one symmetric 3 × 3 matrix of weights and three right-hand sides, whatever
-//! their number; the system is applied face by face and never written out.
+//! A sample at `s`, nearest to the place `Σ λᵢ xᵢ` on a face with unit normal `n`, asks that moving the face's vertices
+//! by `δᵢ` brings the place to it: `w·(n·(Σ λᵢ δᵢ − r))² + μ·w·|Σ λᵢ δᵢ − r|²`, `r` from the place to the sample. All
+//! samples of a face share `n`, so that a face adds up to one symmetric 3 × 3 matrix of weights and three right-hand
+//! sides, whatever their number; the system is applied face by face and never written out.
 
 use super::lanes::{Vec3x8, sum};
 use crate::mesh::adjacency::{Stars, parts};
@@ -11,7 +11,8 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use wide::f32x8;
 
-/// Weight of the distance along the face against that across it: enough to hold the mesh together. 0.05 costs 2 % of E_avg,
+/// Weight of the distance along the face against that across it: enough to hold the mesh together. 0.05 costs 2 % of
+/// E_avg,
 /// 0.15 costs 6 %, 0.01 lets single vertices slide (E_max of the femur and the dragon rises by a tenth).
 const ALONG: f32 = 0.02;
 
