@@ -48,6 +48,7 @@ fn main() {
     let options = Table63Options {
         models: models().filter(|_| !tried),
         continued: if tried { vec![20_000, 300_000] } else { continued(&args) },
+        program: env!("CARGO_BIN_EXE_meshmill").into(),
         memory: Size(if tried { 24 * MIB } else { 1024 * MIB }),
         threads: if tried { 2 } else { cores() },
         runs: if tried { 1 } else { 3 },

@@ -123,7 +123,14 @@ fn thesis_models() -> Option<PathBuf> {
 
 fn bench(args: BenchArgs) -> ExitCode {
     let BenchCommand::Table63(args) = args.command;
+    let program = match std::env::current_exe() {
+        Ok(program) => program,
+        Err(error) => {
+            return conclude(Err(Error::io(Path::new("/proc/self/exe"), "cannot be found")(error)), args.json);
+        }
+    };
     let options = Table63Options {
+        program,
         models: args.models.or_else(thesis_models),
         continued: args.continued.iter().map(|faces| faces.0).collect(),
         memory: args.memory,

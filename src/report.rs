@@ -12,7 +12,7 @@ pub use comparison::{
 pub use inspection::{BoxFigures, InspectionReport, ReductionFigures, SurfaceFigures, UnsaidFigure};
 pub use warning::Warning;
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use std::path::{Path, PathBuf};
 
 use crate::budget::Size;
@@ -103,7 +103,7 @@ pub struct MeshFile {
 }
 
 /// The way a scan went through the mill.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
     /// The scan fitted the budget: welded and collapsed.
@@ -113,7 +113,7 @@ pub enum Mode {
 }
 
 /// Wall-clock seconds by stage.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Timeline {
     /// Opening and, in core, loading and welding.
     pub read: f64,

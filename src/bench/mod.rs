@@ -22,17 +22,15 @@ pub use timing::Seconds;
 use crate::budget::Size;
 use crate::collapse::{Placement, Policies, Primitive};
 use crate::error::{Error, Result};
-use crate::job::{Count, JobFile, RunTable, ScanTable, Scans, Threads};
 use crate::mesh::IndexedMesh;
-use crate::pipeline::reduce;
-use crate::progress::Progress;
-use crate::queue::reset_peak;
+use crate::progress::{Progress, Stage};
 use crate::read::{Crew, Scan};
 use crate::report::{Mode, Timeline};
 use crate::synth::synth;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 use timing::{Ask, Model, median};
 
@@ -49,6 +47,8 @@ pub struct Table63Options {
     pub models: Option<PathBuf>,
     /// Larger scans, by their faces.
     pub continued: Vec<u64>,
+    /// The program that reduces those, each in a process of its own.
+    pub program: PathBuf,
     /// Bound on resident memory for those.
     pub memory: Size,
     /// Threads of the second column, and of larger scans.
@@ -290,36 +290,61 @@ impl Bench<'_> {
         synth(&scan, faces, 0, self.progress)?;
         let floor = self.floor(&scan)?;
         let target = (faces / CONTINUED_RATIO).max(1000).min(faces / 4);
-        let job = JobFile {
-            scan: Scans::One(Box::new(ScanTable {
-                input: vec![scan.clone()],
-                output: Some(small),
-                faces: vec![Count(target)],
-                ..Default::default()
-            })),
-            run: RunTable {
-                memory: Some(self.options.memory),
-                threads: Some(Threads(self.options.threads)),
-                ..Default::default()
-            },
-            ..Default::default()
-        };
-        let job = job.resolve()?;
-        reset_peak();
-        let report = reduce(&job, self.progress)?;
+        let done = self.reduced(&scan, &small, target)?;
         // Large ones one after another need no more room than the largest.
         std::fs::remove_file(&scan).map_err(Error::io(&scan, "cannot remove"))?;
         Ok(ContinuedRow {
-            faces: report.input.faces,
-            target: report.output.faces,
-            mode: report.mode,
-            memory_budget_bytes: report.memory_budget_bytes,
-            peak_rss_bytes: report.peak_rss_bytes,
-            scratch_bytes: report.scratch_bytes,
-            seconds: report.seconds,
+            faces: done.input.faces,
+            target: done.output.faces,
+            mode: done.mode,
+            memory_budget_bytes: done.memory_budget_bytes,
+            peak_rss_bytes: done.peak_rss_bytes,
+            scratch_bytes: done.scratch_bytes,
+            seconds: done.seconds,
             floor,
         })
     }
+
+    /// Reduces in a process of its own: what allocators keep of rows before would count as resident.
+    fn reduced(&self, scan: &Path, small: &Path, target: u64) -> Result<Reduced> {
+        let Table63Options { program, memory, threads, .. } = self.options;
+        let mut command = Command::new(program);
+        command.arg("reduce").arg(scan).arg("-o").arg(small).args(["--json", "--faces", &target.to_string()]);
+        command.args(["--memory", &memory.to_string(), "--threads", &threads.to_string()]);
+        let started = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+        let mut child = started.map_err(Error::io(program, "cannot be started"))?;
+        self.progress.begin(Stage::Collapse, 0);
+        while child.try_wait().map_err(Error::io(program, "cannot be waited for"))?.is_none() {
+            if let Err(stopped) = self.progress.check() {
+                // It may have ended by itself.
+                let _ = child.kill().and_then(|()| child.wait());
+                return Err(stopped);
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        // A report is smaller than what a pipe holds.
+        let said = child.wait_with_output().map_err(Error::io(program, "cannot be heard"))?.stdout;
+        serde_json::from_slice(&said).map_err(|_| {
+            Error::input(scan, format!("could not be reduced: {}", String::from_utf8_lossy(&said).trim_end()))
+        })
+    }
+}
+
+/// What is read of a report.
+#[derive(Deserialize)]
+struct Reduced {
+    input: Counted,
+    output: Counted,
+    mode: Mode,
+    memory_budget_bytes: u64,
+    peak_rss_bytes: Option<u64>,
+    scratch_bytes: u64,
+    seconds: Timeline,
+}
+
+#[derive(Deserialize)]
+struct Counted {
+    faces: u64,
 }
 
 /// The slope of the line through the logarithms that is closest in the sense of least squares; `None` for fewer than two
