@@ -200,7 +200,8 @@ impl Run<'_> {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
         warnings.extend(collapsed.seams_gave_way.then_some(Warning::SeamsGaveWay));
-        let (wanted, lost) = self.columns(out.format(), outfit.as_ref());
+        let voted = self.voted(out.format(), outfit.as_ref(), &mesh, frame)?;
+        let (wanted, lost) = self.columns(out.format(), outfit.as_ref(), &voted);
         if !lost.is_empty() {
             warnings.push(Warning::NotCarried { names: lost });
         }
@@ -210,8 +211,10 @@ impl Run<'_> {
         let vertices =
             dressed.as_ref().map_or(mesh.positions.len(), |d| d.vertices(out.format(), mesh.positions.len()));
         let output = mesh_file(&self.job.output, mesh.faces.len(), vertices);
-        out.write_carrying(&mesh, frame, &carried, dressed.as_ref().map(|d| d.clothes()), self.progress)?;
-        drop(dressed);
+        let clothes = dressed.as_ref().map(|d| d.clothes());
+        let load = write::Load { vertices: &carried, faces: &voted, clothes };
+        out.write_carrying(&mesh, frame, load, self.progress)?;
+        drop((dressed, voted));
         seconds.write = clock.lap();
         let (mode, cells, ratio) = match &source {
             Source::Loaded(_) => (Mode::InCore, None, None),

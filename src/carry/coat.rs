@@ -12,7 +12,7 @@ use super::solve::{LITTLE_SMOOTHING, Sums};
 use super::{Places, Range, SAMPLES, weights};
 use crate::error::Result;
 use crate::mesh::adjacency::{Stars, parts};
-use crate::mesh::coat::{Coat, Corners, Dress, NOTHING};
+use crate::mesh::coat::{Coat, Corners, Dress, NOTHING, Patch};
 use crate::mesh::columns::{Column, Columns, Meaning, Number};
 use crate::mesh::triangle::nearest_on_triangle;
 use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges, widen};
@@ -26,6 +26,13 @@ use std::sync::{Mutex, PoisonError};
 /// Where normals give more wedges than this for each vertex, faces are shaded flat: that is no seam to hold, but what the
 /// shape says anyway.
 const MOST_BY_NORMALS: f64 = 1.5;
+
+/// Where labels differ across a larger share of the edges than this, they are no labels but something that is measured at
+/// each face: there would be nothing but borders, which hold the collapse up. Faces vote for it instead (`votes`).
+const MOST_BORDERS: f64 = 0.25;
+
+/// Faces that are asked for it.
+const ASKED_FOR_BORDERS: usize = 50_000;
 
 /// Bytes that a coat takes for so many wedges and faces, while it is put on and after.
 pub const fn bytes(faces: u64, wedges: u64, vertices: u64) -> u64 {
@@ -58,6 +65,14 @@ pub fn put_on<S: Coordinate>(
     let Some(mut coat) = scan.coat(crew.progress)? else { return Ok(None) };
     let vertices = vertices(scan, mesh, frame, crew)?;
     let mut found = find(scan, mesh, &coat, &vertices, false, crew)?;
+    if borders(mesh, &coat, &found) > MOST_BORDERS {
+        coat.face_columns.clear();
+        coat.patches = vec![Patch::default()];
+        if coat.uvs.is_empty() && coat.normals.is_empty() {
+            return Ok(None);
+        }
+        found = find(scan, mesh, &coat, &vertices, false, crew)?;
+    }
     let is_flat = |found: &Found| found.keys.len() as f64 > MOST_BY_NORMALS * mesh.positions.len() as f64;
     let shaded_flat = !coat.normals.is_empty() && is_flat(&found) && {
         let without = find(scan, mesh, &coat, &vertices, true, crew)?;
@@ -95,6 +110,27 @@ pub fn put_on<S: Coordinate>(
     (coat.uvs, coat.normals) = (Vec::new(), Vec::new());
     let wedges = Wedges { corners, becomes: (0..keys.len() as u32).collect() };
     Ok(Some((Worn { coat, shaded_flat, columns, positions, values, patches }, wedges)))
+}
+
+/// The share of the edges between faces of which the labels differ, of a number of faces that tells it.
+fn borders<S: Coordinate>(mesh: &IndexedMesh<S>, coat: &Coat, found: &Found) -> f64 {
+    if coat.face_columns.is_empty() || coat.patches.len() < 2 || found.corners.len() != mesh.faces.len() {
+        return 0.0;
+    }
+    let patch = |f: usize| found.keys[found.corners[f][0] as usize].patch;
+    let mut stars = Stars::default();
+    stars.rebuild(&mesh.faces, mesh.positions.len());
+    let (mut edges, mut borders) = (0.0, 0.0);
+    for f in (0..mesh.faces.len()).step_by(mesh.faces.len().div_ceil(ASKED_FOR_BORDERS).max(1)) {
+        let [a, b, c] = mesh.faces[f];
+        for (u, v) in [(a, b), (b, c), (c, a)] {
+            let mut others = stars.of(u).iter().map(|corner| parts(*corner).0).filter(|g| *g != f);
+            let Some(other) = others.find(|g| mesh.faces[*g].contains(&v)) else { continue };
+            edges += 1.0;
+            borders += f64::from(patch(f) != patch(other));
+        }
+    }
+    if edges > 0.0 { borders / edges } else { 0.0 }
 }
 
 /// For each vertex of the file the one of the mesh, or [`NOTHING`].
@@ -179,6 +215,12 @@ impl<S: Coordinate> Worn<S> {
     /// What it carries, by name.
     pub fn columns(&self) -> &[Column] {
         &self.columns
+    }
+
+    /// Bytes that it takes.
+    pub fn bytes(&self) -> u64 {
+        let wedge = size_of::<[S; 3]>() + size_of::<u32>() + size_of::<f32>() * self.columns.len();
+        (self.positions.len() * wedge) as u64
     }
 
     /// How many wedges the scan has.

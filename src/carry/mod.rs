@@ -16,8 +16,10 @@
 
 mod coat;
 mod solve;
+mod votes;
 
 pub use coat::{Worn, bytes as coat_bytes, put_on};
+pub use votes::{least_position_bytes, vote, votes_bytes};
 
 use crate::error::Result;
 use crate::mesh::adjacency::{Stars, parts};

@@ -32,11 +32,9 @@ pub struct Coat {
     pub face_columns: Vec<Column>,
 }
 
-impl Coat {
-    /// Whether the one number of its faces fits the two bytes that STL has for each.
-    pub fn is_spare(&self) -> bool {
-        matches!(&self.face_columns[..], [c] if matches!(c.number, Number::U8 | Number::U16))
-    }
+/// Whether what faces carry is one number that fits the two bytes that STL has for each.
+pub fn is_spare(of_faces: &[Column]) -> bool {
+    matches!(of_faces, [c] if matches!(c.number, Number::U8 | Number::U16))
 }
 
 /// A mesh's coat: its vertices split where they lie on seams.

@@ -61,6 +61,24 @@ impl Number {
         }
     }
 
+    /// The number that little-endian bytes begin with, which are as many as it has.
+    #[inline]
+    pub fn get(self, bytes: &[u8]) -> f64 {
+        fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+            bytes.first_chunk().copied().unwrap_or([0; N])
+        }
+        match self {
+            Number::I8 => f64::from(i8::from_le_bytes(first(bytes))),
+            Number::U8 => f64::from(u8::from_le_bytes(first(bytes))),
+            Number::I16 => f64::from(i16::from_le_bytes(first(bytes))),
+            Number::U16 => f64::from(u16::from_le_bytes(first(bytes))),
+            Number::I32 => f64::from(i32::from_le_bytes(first(bytes))),
+            Number::U32 => f64::from(u32::from_le_bytes(first(bytes))),
+            Number::F32 => f64::from(f32::from_le_bytes(first(bytes))),
+            Number::F64 => f64::from_le_bytes(first(bytes)),
+        }
+    }
+
     /// Appends `x` in little-endian bytes; what an integer cannot hold is clamped to what it can.
     #[inline]
     pub fn put(self, x: f64, out: &mut Vec<u8>) {

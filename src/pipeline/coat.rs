@@ -1,12 +1,12 @@
 //! What corners and faces of the scan carry, on its way to the result.
 
 use super::{Intermediate, Run};
-use crate::carry::{Worn, mean_shades, put_on, range_length, shades};
+use crate::carry::{Worn, least_position_bytes, mean_shades, put_on, range_length, shades, vote, votes_bytes};
 use crate::collapse::Carried;
 use crate::error::Result;
 use crate::job::Job;
 use crate::mesh::coat::Dress;
-use crate::mesh::columns::{self, Meaning};
+use crate::mesh::columns::{self, Column, Columns, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges};
 use crate::read::{Crew, Scan};
 use crate::write::{self, Clothes, Wardrobe};
@@ -118,11 +118,42 @@ impl Run<'_> {
         Ok(Some(Dressed { dress, coat: &worn.coat, wardrobe, scan: self.scan.path() }))
     }
 
+    /// What the result's faces carry that has no borders that were held, where the budget has room to find out.
+    pub(super) fn voted<S: Coordinate>(
+        &self,
+        format: write::Format,
+        outfit: Option<&Outfit<S>>,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+    ) -> Result<Columns> {
+        let all = if self.job.carry { self.scan.face_columns() } else { Vec::new() };
+        let held = |column: &Column| {
+            let labels = outfit.map_or(&[][..], |outfit| &outfit.worn.coat.face_columns);
+            labels.iter().any(|c| c.name == column.name)
+        };
+        let wanted: Vec<usize> = (0..all.len()).filter(|c| !held(&all[*c])).collect();
+        let columns: Vec<Column> = wanted.iter().map(|c| all[*c].clone()).collect();
+        let Some(least) = least_position_bytes(self.scan) else { return Ok(Columns::default()) };
+        if columns.is_empty() || !format.holds_labels(&columns) {
+            return Ok(Columns::default());
+        }
+        let (faces, vertices) = (mesh.faces.len() as u64, mesh.positions.len() as u64);
+        let result = 12 * faces + 3 * size_of::<S>() as u64 * vertices;
+        let worn = outfit.map_or(0, |outfit| outfit.worn.bytes());
+        let taken = result + worn + votes_bytes(faces, columns.len() as u64);
+        let positions = self.purse.while_streaming().saturating_sub(taken);
+        if positions < least {
+            return Ok(Columns::default());
+        }
+        vote(self.scan, &wanted, mesh, frame, &super::read_crew(&self.purse, self.progress), (&self.scratch, positions))
+    }
+
     /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
     pub(super) fn columns<S: Coordinate>(
         &self,
         format: write::Format,
         outfit: Option<&Outfit<S>>,
+        voted: &Columns,
     ) -> (Vec<usize>, Vec<String>) {
         use crate::read::Carrier;
         if !self.job.carry {
@@ -153,9 +184,10 @@ impl Run<'_> {
                 (Carrier::Face, "usemtl") => outfit.is_some() && format.holds_materials(),
                 (Carrier::Face, "g") => outfit.is_some() && format.holds_groups(),
                 (_, "texcoord") => is_worn(Meaning::Texture(0)),
+                (Carrier::Face, name) if voted.columns.iter().any(|c| c.name == name) => true,
                 (Carrier::Face, name) => outfit.is_some_and(|outfit| {
                     let coat = &outfit.worn.coat;
-                    format.holds_labels(coat) && coat.face_columns.iter().any(|c| c.name == name)
+                    format.holds_labels(&coat.face_columns) && coat.face_columns.iter().any(|c| c.name == name)
                 }),
                 _ => false,
             };
@@ -189,5 +221,5 @@ impl Run<'_> {
 
 /// Whether a format holds any of what corners and faces carry.
 fn wears<S: Coordinate>(format: write::Format, outfit: &Outfit<S>) -> bool {
-    format != write::Format::Stl || format.holds_labels(&outfit.worn.coat)
+    format != write::Format::Stl || format.holds_labels(&outfit.worn.coat.face_columns)
 }

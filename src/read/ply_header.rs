@@ -13,7 +13,7 @@ use ply_rs::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType
 use rustc_hash::FxHashMap;
 
 /// The most numbers of a vertex that are carried.
-pub(super) const MOST_COLUMNS: usize = 13;
+pub(crate) const MOST_COLUMNS: usize = 13;
 
 /// Names of texture coordinates, two by two.
 const TEXTURE: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "tx", "ty"];
