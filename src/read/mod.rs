@@ -17,6 +17,7 @@ mod floor;
 mod gltf;
 mod gltf_coat;
 mod gltf_json;
+mod gltf_looks;
 mod gltf_scene;
 mod lines;
 mod load;
