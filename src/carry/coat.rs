@@ -67,7 +67,8 @@ pub fn put_on<S: Coordinate>(
     let mut found = find(scan, mesh, &coat, &vertices, false, crew)?;
     if borders(mesh, &coat, &found) > MOST_BORDERS {
         coat.face_columns.clear();
-        coat.patches = vec![Patch::default()];
+        // Which texture a face has is no noise: there are no other materials where numbers of faces are labels.
+        coat.patches = vec![Patch { material: coat.patches[0].material, ..Patch::default() }];
         if coat.uvs.is_empty() && coat.normals.is_empty() {
             return Ok(None);
         }

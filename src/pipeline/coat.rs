@@ -26,6 +26,13 @@ pub(super) struct Outfit<S> {
     missing: Vec<String>,
 }
 
+impl<S: Coordinate> Outfit<S> {
+    /// Whether a format says what it is made of.
+    fn has_textures_in(&self, format: write::Format) -> bool {
+        format.holds_materials() || format.is_ply() && self.wardrobe.as_ply(&self.worn.coat).is_some()
+    }
+}
+
 /// What a finished mesh wears.
 pub(super) struct Dressed<'a> {
     dress: Dress,
@@ -181,8 +188,10 @@ impl Run<'_> {
                 (Carrier::Vertex, name) => is_carried(name),
                 (Carrier::Corner, "vt") => is_worn(Meaning::Texture(0)),
                 (Carrier::Corner, "vn") => is_worn(Meaning::Normal(0)),
-                (Carrier::Face, "usemtl") => outfit.is_some() && format.holds_materials(),
-                (Carrier::Face, "g") => outfit.is_some() && format.holds_groups(),
+                (Carrier::Face, "usemtl" | "material" | "TextureFile") => {
+                    outfit.is_some_and(|o| o.has_textures_in(format))
+                }
+                (Carrier::Face, "g" | "node") => outfit.is_some() && format.holds_groups(),
                 (_, "texcoord") => is_worn(Meaning::Texture(0)),
                 (Carrier::Face, name) if voted.columns.iter().any(|c| c.name == name) => true,
                 (Carrier::Face, name) => outfit.is_some_and(|outfit| {
@@ -195,10 +204,11 @@ impl Run<'_> {
                 lost.push(attribute.name);
             }
         }
-        if let Some(outfit) = outfit.filter(|_| format.holds_materials()) {
+        if let Some(outfit) = outfit.filter(|outfit| outfit.has_textures_in(format)) {
             lost.extend(outfit.missing.iter().cloned());
             let textures = outfit.wardrobe.textures.iter();
-            let kept = |texture: &&write::Texture| format == write::Format::Obj || texture.mime().is_some();
+            let kept =
+                |texture: &&write::Texture| format == write::Format::Obj || format.is_ply() || texture.mime().is_some();
             lost.extend(textures.filter(|texture| !kept(texture)).map(|texture| texture.name.clone()));
         }
         (wanted, lost)

@@ -285,7 +285,10 @@ impl Scan {
     /// What it carries beside positions and faces, which none of the passes here yields.
     pub fn attributes(&self) -> Vec<Attribute> {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply) => ply.attributes(),
+            Body::Ply(ply) | Body::OffBinary(ply) => {
+                let textures = ply.textures.iter().map(|name| Attribute::of(Carrier::Face, "TextureFile", name));
+                ply.attributes().into_iter().chain(textures).collect()
+            }
             Body::Stl(_) if self.has_coat() => vec![Attribute::of(Carrier::Face, stl_corners::NAME, "ushort")],
             Body::Stl(_) => Vec::new(),
             Body::Obj(text) => text.dialect.attributes(),

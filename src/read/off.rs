@@ -252,6 +252,7 @@ fn binary(input: &Input, head: &[u8], payload: usize, carried: Carried) -> Resul
     Ok(Header {
         encoding: Encoding::BinaryBigEndian,
         payload: payload as u64 + 12,
+        textures: Vec::new(),
         elements: vec![
             Element { kind: "vertex", count: vertices, properties: vertex },
             Element { kind: "face", count: faces, properties: face },

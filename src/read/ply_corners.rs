@@ -8,11 +8,12 @@ use super::ply::Ply;
 use super::ply_binary::Binary;
 use super::ply_records::{LabelledStep, Records, Row, Values};
 use crate::error::Result;
-use crate::mesh::coat::{Coat, Corners, NOTHING, Patch};
+use crate::mesh::coat::{Bytes, Coat, Corners, Look, NOTHING, Patch, Picture};
 use crate::mesh::columns::Column;
 use crate::progress::Progress;
 use ply_rs::ply::Encoding;
 use rustc_hash::FxHashMap;
+use std::path::Path;
 
 /// More patches than this share of the faces are no labels, but noise: there would be nothing but borders between them.
 const MOST_PATCHES: u64 = 20;
@@ -33,8 +34,7 @@ impl Ply {
 
     /// Values and labels.
     pub fn coat(&self, input: &Input, progress: &Progress) -> Result<Coat> {
-        let mut coat =
-            Coat { face_columns: self.face.labels().into_iter().map(|(_, c)| c).collect(), ..Coat::default() };
+        let mut coat = Coat { face_columns: self.labelled().into_iter().map(|(_, c)| c).collect(), ..Coat::default() };
         if self.face.corner_texture().is_none() && self.vertex.texture().is_some() {
             coat.uvs = self.vertex_uvs(input, progress)?;
         }
@@ -48,6 +48,7 @@ impl Ply {
             labels.number(values);
         })?;
         coat.patches = labels.into_patches(self.triangles, &mut coat.face_columns);
+        self.wear(&mut coat, input);
         Ok(coat)
     }
 
@@ -95,8 +96,41 @@ impl Ply {
         }
     }
 
+    /// What tells faces apart: which texture they have where there are several, else all whole numbers.
+    fn labelled(&self) -> Vec<(usize, Column)> {
+        let number = self.face.texture_number().filter(|_| self.textures.len() > 1);
+        number.map_or_else(|| self.face.labels(), |number| vec![number])
+    }
+
     fn labels(&self) -> Vec<usize> {
-        self.face.labels().into_iter().map(|(i, _)| i).collect()
+        self.labelled().into_iter().map(|(i, _)| i).collect()
+    }
+
+    /// A material for each texture that the header names.
+    fn wear(&self, coat: &mut Coat, input: &Input) {
+        if self.textures.is_empty() || coat.uvs.is_empty() {
+            return;
+        }
+        let folder = input.path().parent().unwrap_or(Path::new(""));
+        for name in &self.textures {
+            let path = folder.join(name.replace('\\', "/"));
+            let is_there = path.is_file();
+            if is_there {
+                coat.pictures.push(Picture { name: name.clone(), place: Bytes::File(path) });
+            } else {
+                coat.lost.push(name.clone());
+            }
+            let picture = is_there.then(|| coat.pictures.len() - 1);
+            coat.materials.push(format!("texture_{}", coat.materials.len()));
+            coat.looks.push(Look { picture, ..Look::default() });
+        }
+        let numbered = self.face.texture_number().is_some() && self.textures.len() > 1;
+        for patch in &mut coat.patches {
+            let number = patch.labels.first().map_or(0.0, |bits| f64::from_bits(*bits));
+            let material = if numbered { number } else { 0.0 };
+            let is = material >= 0.0 && material < self.textures.len() as f64;
+            patch.material = is.then_some(material as u32);
+        }
     }
 
     /// Goes through the numbers of faces, with how many triangles each is.

@@ -256,8 +256,16 @@ impl Wardrobe {
         Ok(Some(name))
     }
 
+    /// The textures that a PLY is to name, which has no materials: if there is one for all faces, or one for each number
+    /// that faces have for it.
+    pub fn as_ply(&self, coat: &Coat) -> Option<Vec<usize>> {
+        let textures: Option<Vec<usize>> = self.materials.iter().map(|material| material.texture).collect();
+        let numbered = coat.face_columns.iter().any(|column| column.name == "texnumber");
+        textures.filter(|all| all.len() == 1 || numbered && !all.is_empty())
+    }
+
     /// Puts the textures beside a file that is about to be written; the names that they have there.
-    fn lay_out_textures(&self, out: &Path, progress: &Progress) -> Result<Vec<String>> {
+    pub(super) fn lay_out_textures(&self, out: &Path, progress: &Progress) -> Result<Vec<String>> {
         let folder = out.parent().unwrap_or(Path::new(""));
         let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut names: Vec<String> = Vec::new();

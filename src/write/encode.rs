@@ -35,6 +35,8 @@ pub(crate) struct Contents<'a, S> {
     pub clothes: Option<Clothes<'a>>,
     /// What an OBJ is to call its library.
     pub library: Option<&'a str>,
+    /// What a PLY is to call its textures.
+    pub textures: &'a [String],
 }
 
 impl<'a, S> Contents<'a, S> {
@@ -65,11 +67,17 @@ impl<'a, S> Contents<'a, S> {
 impl Header {
     /// The header's bytes; refuses counts that the format cannot hold.
     pub(crate) fn bytes(&self, path: &Path) -> Result<Vec<u8>> {
-        self.bytes_with(path, &[], &[])
+        self.bytes_with(path, &[], &[], &[])
     }
 
     /// The same where vertices carry numbers.
-    pub(super) fn bytes_with(&self, path: &Path, carried: &[Column], of_faces: &[Column]) -> Result<Vec<u8>> {
+    pub(super) fn bytes_with(
+        &self,
+        path: &Path,
+        carried: &[Column],
+        of_faces: &[Column],
+        textures: &[String],
+    ) -> Result<Vec<u8>> {
         let largest = u64::from(u32::MAX);
         let (what, count, remedy) = match self.format {
             Format::Ply | Format::PlyAscii => ("vertices", self.vertices, ""),
@@ -82,14 +90,14 @@ impl Header {
             return Err(Error::usage(what));
         }
         Ok(match self.format {
-            Format::Ply | Format::PlyAscii => self.ply(carried, of_faces).into_bytes(),
+            Format::Ply | Format::PlyAscii => self.ply(carried, of_faces, textures).into_bytes(),
             Format::Stl => self.stl(count as u32),
             Format::Obj => format!("# meshmill {}\n", env!("CARGO_PKG_VERSION")).into_bytes(),
             Format::Glb | Format::GlbQuantised => Vec::new(),
         })
     }
 
-    fn ply(&self, carried: &[Column], of_faces: &[Column]) -> String {
+    fn ply(&self, carried: &[Column], of_faces: &[Column], textures: &[String]) -> String {
         let scalar = if self.double { "double" } else { "float" };
         // Readers that know `int` alone are many; `uint` only where it must be.
         let index = if self.vertices > 1 << 31 { "uint" } else { "int" };
@@ -97,9 +105,10 @@ impl Header {
             columns.iter().map(|c| format!("property {} {}\n", c.number.word(), c.name)).collect()
         };
         let (carried, of_faces) = (list(carried), list(of_faces));
+        let textures: String = textures.iter().map(|name| format!("comment TextureFile {name}\n")).collect();
         let encoding = if self.format == Format::PlyAscii { "ascii" } else { "binary_little_endian" };
         format!(
-            "ply\nformat {encoding} 1.0\ncomment meshmill {}\n\
+            "ply\nformat {encoding} 1.0\ncomment meshmill {}\n{textures}\
              element vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n{carried}\
              element face {}\nproperty list uchar {index} vertex_indices\n{of_faces}end_header\n",
             env!("CARGO_PKG_VERSION"),
@@ -177,7 +186,7 @@ pub(crate) fn encode<S: Coordinate, W: Write>(
     path: &Path,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    sink.put(&header.bytes_with(path, &contents.carried.columns, &contents.face_columns())?)?;
+    sink.put(&header.bytes_with(path, &contents.carried.columns, &contents.face_columns(), contents.textures)?)?;
     match header.format {
         Format::Ply => ply(contents, sink),
         Format::Stl => stl(contents, path, sink),
@@ -266,7 +275,8 @@ mod tests {
             Header { format, double: S::DOUBLE, vertices: mesh.positions.len() as u64, faces: mesh.faces.len() as u64 };
         let mut sink = Sink::new(&mut out, Path::new("x"), &progress);
         let none = Columns::default();
-        let contents = Contents { mesh, frame, carried: &none, of_faces: &none, clothes: None, library: None };
+        let contents =
+            Contents { mesh, frame, carried: &none, of_faces: &none, clothes: None, library: None, textures: &[] };
         encode(&contents, &header, Path::new("x"), &mut sink)?;
         sink.finish()?;
         assert_eq!(out.len() as u64, header.bytes(Path::new("x"))?.len() as u64 + header.element_bytes());

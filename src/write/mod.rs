@@ -97,6 +97,11 @@ impl Format {
         self == Format::Obj && matches!(meaning, Meaning::Texture(_) | Meaning::Normal(_)) || self.holds(meaning)
     }
 
+    /// Whether it is one of PLY's.
+    pub fn is_ply(self) -> bool {
+        matches!(self, Format::Ply | Format::PlyAscii)
+    }
+
     /// Whether it says what faces are made of.
     pub fn holds_materials(self) -> bool {
         matches!(self, Format::Obj | Format::Glb | Format::GlbQuantised)
