@@ -81,11 +81,16 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         target,
         refit_rounds: job.refit_rounds,
         tail_bytes: collapse::tail_bytes(target, &job.policies),
-        shade_bytes: if steering(job, scan).is_some() { 3 * collapse::SHADE_BYTES } else { 0 },
+        shade_bytes: if job.carry { shade_bytes(&job.policies, scan) } else { 0 },
         coat_bytes: if job.carry { coat_bytes(scan) } else { 0 },
         carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
         is_chain: !job.coarser.is_empty(),
     }
+}
+
+/// Bytes a vertex that what steers takes.
+fn shade_bytes(policies: &collapse::Policies, scan: &Scan) -> u64 {
+    steering(policies, scan).len() as u64 * collapse::SHADE_BYTES
 }
 
 /// What carrying over all that the vertices of a scan carry takes.
@@ -109,7 +114,7 @@ fn coat_bytes(scan: &Scan) -> u64 {
     }
     let vertices = scan.vertex_count().max(1);
     let wedges = scan.coat_values().max(vertices);
-    let steering = 5 * collapse::SHADE_BYTES * wedges;
+    let steering = 8 * collapse::SHADE_BYTES * wedges;
     (carry::coat_bytes(scan.triangle_count(), wedges, vertices) + steering).div_ceil(vertices)
 }
 

@@ -229,23 +229,34 @@ impl<S: Coordinate> Worn<S> {
         self.positions.len()
     }
 
-    /// Texture coordinates that are to steer, a whole texture as `length`; with them what vertices have already.
-    pub fn shades(&self, wedges: &Wedges, faces: &[[u32; 3]], of_vertices: &Shades, length: f64) -> Shades {
-        let uv: Vec<usize> = (0..self.columns.len())
-            .filter(|c| length > 0.0 && matches!(self.columns[*c].meaning, Meaning::Texture(_)))
-            .collect();
-        let dims = uv.len() + of_vertices.dims;
+    /// Texture coordinates and normals that are to steer, a whole texture as the first length, from one normal to its
+    /// opposite as the second; with them what vertices have already.
+    pub fn shades(
+        &self,
+        wedges: &Wedges,
+        faces: &[[u32; 3]],
+        of_vertices: &Shades,
+        [texture, normal]: [f64; 2],
+    ) -> Shades {
+        let length = |c: usize| match self.columns[c].meaning {
+            Meaning::Texture(_) => texture,
+            Meaning::Normal(_) => 0.5 * normal,
+            _ => 0.0,
+        };
+        let own: Vec<(usize, f32)> = (0..self.columns.len()).map(|c| (c, length(c) as f32)).collect();
+        let own: Vec<(usize, f32)> = own.into_iter().filter(|(_, length)| *length > 0.0).collect();
+        let dims = own.len() + of_vertices.dims;
         let mut values = vec![0.0f32; dims * self.positions.len()];
         let n = self.columns.len();
         for (face, corners) in faces.iter().zip(&wedges.corners) {
             for (vertex, wedge) in face.iter().zip(corners) {
                 let mine = &mut values[*wedge as usize * dims..][..dims];
-                for (x, c) in mine.iter_mut().zip(&uv) {
-                    let value = length as f32 * self.values[*wedge as usize * n + c];
+                for (x, (c, length)) in mine.iter_mut().zip(&own) {
+                    let value = length * self.values[*wedge as usize * n + c];
                     *x = if value.is_finite() { value } else { 0.0 };
                 }
                 if of_vertices.dims > 0 {
-                    mine[uv.len()..].copy_from_slice(of_vertices.of(*vertex));
+                    mine[own.len()..].copy_from_slice(of_vertices.of(*vertex));
                 }
             }
         }

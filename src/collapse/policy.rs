@@ -31,6 +31,8 @@ pub struct Policies {
     pub colour_weight: f64,
     /// The same of texture coordinates.
     pub texture_weight: f64,
+    /// The same of normals.
+    pub normal_weight: f64,
     /// Whether holes may close, handles vanish, pieces go.
     pub topology: Topology,
     /// How close two vertices without an edge must be to merge all the same; `None` where only edges collapse.
@@ -38,6 +40,9 @@ pub struct Policies {
     /// What collapses.
     pub primitive: Primitive,
 }
+
+/// What normals count when nothing is said.
+const NORMAL_WEIGHT: f64 = 1.0;
 
 impl Default for Policies {
     fn default() -> Self {
@@ -54,6 +59,7 @@ impl Default for Policies {
             valence_penalty: 0.0,
             colour_weight: 1.0,
             texture_weight: 1.0,
+            normal_weight: NORMAL_WEIGHT,
             topology: Topology::default(),
             pair_distance: None,
             primitive: Primitive::default(),

@@ -148,7 +148,12 @@ pub struct Columns {
 impl Column {
     /// The share of full brightness that a part of a colour stands for.
     pub fn brightness(&self, value: f64) -> f64 {
-        let full = match self.number {
+        (value / self.full()).clamp(0.0, 1.0)
+    }
+
+    /// What stands for full brightness, or for one.
+    pub fn full(&self) -> f64 {
+        match self.number {
             Number::I8 => f64::from(i8::MAX),
             Number::U8 => f64::from(u8::MAX),
             Number::I16 => f64::from(i16::MAX),
@@ -156,8 +161,7 @@ impl Column {
             Number::I32 => f64::from(i32::MAX),
             Number::U32 => f64::from(u32::MAX),
             Number::F32 | Number::F64 => 1.0,
-        };
-        (value / full).clamp(0.0, 1.0)
+        }
     }
 }
 

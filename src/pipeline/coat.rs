@@ -1,10 +1,9 @@
 //! What corners and faces of the scan carry, on its way to the result.
 
 use super::{Intermediate, Run};
-use crate::carry::{Worn, least_position_bytes, mean_shades, put_on, range_length, shades, vote, votes_bytes};
-use crate::collapse::Carried;
+use crate::carry::{Steer, Worn, least_position_bytes, mean_shades, put_on, range_length, shades, vote, votes_bytes};
+use crate::collapse::{Carried, Policies};
 use crate::error::Result;
-use crate::job::Job;
 use crate::mesh::coat::Dress;
 use crate::mesh::columns::{self, Column, Columns, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges};
@@ -12,10 +11,13 @@ use crate::read::{Crew, Scan};
 use crate::write::{self, Clothes, Wardrobe};
 use std::path::Path;
 
-/// Columns of the colour that is to steer, if one is.
-pub(super) fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
-    let steers = job.carry && job.policies.colour_weight > 0.0;
-    steers.then(|| columns::find(scan.columns(), Meaning::Colour)).flatten()
+/// Columns of vertices that steer: of the colour and of the normal, if they are there and have any weight.
+pub(super) fn steering(policies: &Policies, scan: &Scan) -> Vec<usize> {
+    let find = |weight: f64, part: fn(usize) -> Meaning| {
+        (weight > 0.0).then(|| columns::find::<3>(scan.columns(), part)).flatten()
+    };
+    let found = [find(policies.colour_weight, Meaning::Colour), find(policies.normal_weight, Meaning::Normal)];
+    found.into_iter().flatten().flatten().collect()
 }
 
 /// What a scan wears while it is reduced.
@@ -54,6 +56,19 @@ impl Dressed<'_> {
 }
 
 impl Run<'_> {
+    fn steering(&self) -> Vec<usize> {
+        if self.job.carry { steering(&self.job.policies, self.scan) } else { Vec::new() }
+    }
+
+    /// What steers, where the full range of what has a weight of 1 is worth this length.
+    fn steers(&self, length: f64) -> Vec<Steer> {
+        let weight = |column: usize| match self.scan.columns()[column].meaning {
+            Meaning::Normal(_) => self.job.policies.normal_weight,
+            _ => self.job.policies.colour_weight,
+        };
+        self.steering().into_iter().map(|column| Steer { column, length: weight(column) * length }).collect()
+    }
+
     /// What a loaded scan carries into the collapse, and what it wears.
     pub(super) fn outfitted<S: Coordinate>(
         &self,
@@ -64,18 +79,18 @@ impl Run<'_> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         let policies = &self.job.policies;
         let worn = if self.job.carry { put_on(self.scan, mesh, frame, &crew)? } else { None };
-        let colour = steering(self.job, self.scan);
-        if colour.is_none() && worn.is_none() {
+        if self.steering().is_empty() && worn.is_none() {
             return Ok((None, None));
         }
         let length = range_length(mesh, asked);
         let mut carried = Carried::default();
-        if let Some(colour) = colour {
-            let length = policies.colour_weight * length;
-            carried.shades = shades(self.scan, colour, mesh, frame, length, &crew)?;
+        let steers = self.steers(length);
+        if !steers.is_empty() {
+            carried.shades = shades(self.scan, &steers, mesh, frame, &crew)?;
         }
         let Some((worn, wedges)) = worn else { return Ok((Some(carried), None)) };
-        carried.shades = worn.shades(&wedges, &mesh.faces, &carried.shades, policies.texture_weight * length);
+        let lengths = [policies.texture_weight, policies.normal_weight].map(|weight| weight * length);
+        carried.shades = worn.shades(&wedges, &mesh.faces, &carried.shades, lengths);
         carried.wedges = wedges;
         let (wardrobe, missing) = Wardrobe::of(&worn.coat, self.scan.path());
         Ok((Some(carried), Some(Outfit { worn, wardrobe, missing })))
@@ -104,10 +119,11 @@ impl Run<'_> {
         frame: Frame,
         asked: Option<u64>,
     ) -> Result<Shades> {
-        let Some(colour) = steering(self.job, self.scan) else { return Ok(Shades::default()) };
+        if self.steering().is_empty() {
+            return Ok(Shades::default());
+        }
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
-        let length = self.job.policies.colour_weight * range_length(mesh, asked);
-        mean_shades(self.scan, colour, mesh, frame, length, &crew)
+        mean_shades(self.scan, &self.steers(range_length(mesh, asked)), mesh, frame, &crew)
     }
 
     /// What the result wears, in a format that holds any of it.

@@ -61,15 +61,25 @@ pub struct Texture {
 }
 
 impl Texture {
-    /// Its type, if it is one that glTF holds: by what it begins with.
+    /// Its type, if it is one that glTF holds: by what it begins with, and by its name where that tells nothing.
     pub fn mime(&self) -> Option<&'static str> {
         let mut head = [0; 8];
-        self.read(&mut head, 0).ok()?;
+        let length = self.length().ok()?.min(8) as usize;
+        self.read(&mut head[..length], 0).ok()?;
         match head {
             [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
             [0xff, 0xd8, 0xff, ..] => Some("image/jpeg"),
-            _ => None,
+            [b'R', b'I', b'F', b'F', ..] | [0xab, b'K', b'T', b'X', ..] | [b'D', b'D', b'S', ..] => None,
+            _ => {
+                let name = self.path().extension()?.to_str()?.to_ascii_lowercase();
+                let known = [("png", "image/png"), ("jpg", "image/jpeg"), ("jpeg", "image/jpeg")];
+                known.into_iter().find(|(extension, _)| *extension == name).map(|(_, mime)| mime)
+            }
         }
+    }
+
+    fn path(&self) -> &Path {
+        if let Bytes::File(path) = &self.place { path } else { Path::new(&self.name) }
     }
 
     /// How many bytes it has.
@@ -81,8 +91,7 @@ impl Texture {
     }
 
     fn unreadable(&self) -> impl FnOnce(std::io::Error) -> Error {
-        let path = if let Bytes::File(path) = &self.place { path } else { Path::new(&self.name) };
-        Error::io(path, "cannot read this texture")
+        Error::io(self.path(), "cannot read this texture")
     }
 
     fn read(&self, bytes: &mut [u8], from: u64) -> Result<()> {
@@ -129,7 +138,7 @@ impl Texture {
 
     /// The name of its file.
     fn file_name(&self) -> String {
-        let path = if let Bytes::File(path) = &self.place { path } else { Path::new(&self.name) };
+        let path = self.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         match (path.extension(), self.mime()) {
             (None, Some("image/png")) => name + ".png",
