@@ -137,7 +137,7 @@ impl Texture {
     }
 
     /// The name of its file.
-    fn file_name(&self) -> String {
+    pub(super) fn file_name(&self) -> String {
         let path = self.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         match (path.extension(), self.mime()) {

@@ -293,7 +293,7 @@ fn materials(document: &mut Value, clothes: Option<Clothes<'_>>, images: &[Image
     };
     document["materials"] = wardrobe.materials.iter().map(material).collect();
     if !images.is_empty() {
-        let image = |((_, mime, _), view): (&Image, &usize)| json!({ "bufferView": view, "mimeType": mime });
+        let image = |((at, mime, _), view): (&Image, &usize)| json!({ "name": wardrobe.textures[*at].file_name(), "bufferView": view, "mimeType": mime });
         document["images"] = images.iter().zip(views).map(image).collect();
         document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497 }]);
         document["textures"] = (0..images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();
