@@ -15,46 +15,48 @@ use super::sums::Totals;
 use super::table::CellTable;
 use crate::quadric::Quadric;
 use glam::DVec3;
+use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// Cells on an edge with an odd number of faces, as flags by the triples' own numbering.
 pub(super) fn open_cells(triples: &[[u32; 3]], cells: usize) -> Vec<bool> {
-    let mut open = vec![false; cells];
-    // Lesser ends are taken a share at a time, so that there are never many more ends than cells.
+    // Lesser ends are taken a share at a time, so that there are never many more ends than cells for a thread.
     let share = cells.div_ceil(triples.len().div_ceil(cells.max(1)).max(1)).max(1);
-    let mut starts = Vec::new();
-    let mut ends = Vec::new();
-    for first in (0..cells).step_by(share) {
-        let here = first as u32..(first + share).min(cells) as u32;
-        let edges = || {
-            let all = triples.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v)));
-            all.filter(|(u, _)| here.contains(u)).map(|(u, v)| (u as usize - first, v))
-        };
-        // Edges by their lesser end: a counting sort of the greater ends.
-        starts.clear();
-        starts.resize(here.len() + 1, 0u32);
-        edges().for_each(|(u, _)| starts[u + 1] += 1);
-        for i in 0..here.len() {
-            starts[i + 1] += starts[i];
-        }
-        ends.clear();
-        ends.reserve_exact(starts[here.len()] as usize);
-        ends.resize(starts[here.len()] as usize, 0u32);
-        for (u, v) in edges() {
-            ends[starts[u] as usize] = v;
-            starts[u] += 1;
-        }
-        // Each start is now the next one's.
-        let mut begin = 0;
-        for u in 0..here.len() {
-            let ends = &mut ends[begin..starts[u] as usize];
-            begin = starts[u] as usize;
-            ends.sort_unstable();
-            for same in ends.chunk_by(|v, w| v == w).filter(|same| same.len() % 2 == 1) {
-                open[first + u] = true;
-                open[same[0] as usize] = true;
-            }
+    let shares = (0..cells).into_par_iter().step_by(share).with_max_len(1);
+    let found: Vec<Vec<u32>> = shares.map(|first| open_in(triples, first..(first + share).min(cells))).collect();
+    let mut open = vec![false; cells];
+    found.into_iter().flatten().for_each(|cell| open[cell as usize] = true);
+    open
+}
+
+/// The ends of such edges of which the lesser is in `here`.
+fn open_in(triples: &[[u32; 3]], here: Range<usize>) -> Vec<u32> {
+    let first = here.start as u32;
+    let edges = || {
+        let all = triples.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v)));
+        all.map(|(u, v)| (u.wrapping_sub(first) as usize, v)).filter(|(u, _)| *u < here.len())
+    };
+    // Edges by their lesser end: a counting sort of the greater ends.
+    let mut starts = vec![0u32; here.len() + 1];
+    edges().for_each(|(u, _)| starts[u + 1] += 1);
+    for i in 0..here.len() {
+        starts[i + 1] += starts[i];
+    }
+    let mut ends = vec![0u32; starts[here.len()] as usize];
+    for (u, v) in edges() {
+        ends[starts[u] as usize] = v;
+        starts[u] += 1;
+    }
+    // Each start is now the next one's.
+    let mut open = Vec::new();
+    let mut begin = 0;
+    for (u, end) in starts[..here.len()].iter().enumerate() {
+        let ends = &mut ends[begin..*end as usize];
+        begin = *end as usize;
+        ends.sort_unstable();
+        for same in ends.chunk_by(|v, w| v == w).filter(|same| same.len() % 2 == 1) {
+            open.extend([first + u as u32, same[0]]);
         }
     }
     open

@@ -7,8 +7,8 @@
 use super::grid::{Corner, Grid};
 use super::join;
 use super::spill::{PageCache, Spill, SpillFile};
-use super::table::CellTable;
-use super::used::Used;
+use super::table::{CellTable, LastBlock};
+use super::used::{MARKER_BYTES, Marker, Used};
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
@@ -21,7 +21,7 @@ pub(super) const BATCH: usize = 512;
 const AT_ONCE: usize = 64;
 
 /// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
-pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + (16 << 10) * size_of::<Corner>();
+pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + (16 << 10) * size_of::<Corner>();
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {
@@ -42,8 +42,9 @@ pub(super) enum Corners<'a> {
 }
 
 /// A sink with the faces that are on their way to it, and what was found on the way.
-pub(super) struct Feed<K> {
+pub(super) struct Feed<'a, K> {
     pub(super) sink: K,
+    used: Marker<'a>,
     faces: Vec<[Corner; 3]>,
     /// Faces that repeat a corner.
     pub(super) repeated: u64,
@@ -51,9 +52,15 @@ pub(super) struct Feed<K> {
     pub(super) nowhere: Option<u64>,
 }
 
-impl<K: Sink> Feed<K> {
-    pub(super) fn new(sink: K) -> Self {
-        Feed { sink, faces: Vec::with_capacity(BATCH), repeated: 0, nowhere: None }
+impl<'a, K: Sink> Feed<'a, K> {
+    pub(super) fn new(sink: K, used: &'a Used) -> Self {
+        Feed { sink, used: Marker::new(used), faces: Vec::with_capacity(BATCH), repeated: 0, nowhere: None }
+    }
+
+    /// A face has this vertex.
+    #[inline(always)]
+    pub(super) fn uses(&mut self, vertex: u32) {
+        self.used.add(vertex);
     }
 
     #[inline(always)]
@@ -64,8 +71,13 @@ impl<K: Sink> Feed<K> {
         }
     }
 
-    /// Hands over what has gathered.
-    pub(super) fn deliver(&mut self) {
+    /// Hands over what has gathered, all of it.
+    fn finish(&mut self) {
+        self.deliver();
+        self.used.flush();
+    }
+
+    fn deliver(&mut self) {
         self.sink.take(&self.faces);
         self.faces.clear();
     }
@@ -77,17 +89,12 @@ impl<K: Sink> Feed<K> {
 
     /// Resolves a triangle's corners and takes it along, unless it repeats a vertex or a corner is nowhere.
     #[inline(always)]
-    fn gather(
-        &mut self,
-        [a, b, c]: [u32; 3],
-        used: &Used,
-        mut corner: impl FnMut(u32) -> Result<Corner>,
-    ) -> Result<()> {
+    fn gather(&mut self, [a, b, c]: [u32; 3], mut corner: impl FnMut(u32) -> Result<Corner>) -> Result<()> {
         if a == b || b == c || c == a {
             self.repeated += 1;
             return Ok(());
         }
-        [a, b, c].into_iter().for_each(|vertex| used.add(vertex));
+        [a, b, c].into_iter().for_each(|vertex| self.uses(vertex));
         let face = [corner(a)?, corner(b)?, corner(c)?];
         if face.contains(&Corner::NOWHERE) {
             for (vertex, corner) in [a, b, c].into_iter().zip(face) {
@@ -111,8 +118,8 @@ pub(super) fn bin_vertices(
     coherent: bool,
     spill: &Spill,
 ) -> Result<()> {
-    let bin = |p: &[f64; 3]| match grid.steps(*p) {
-        Some(steps) => Corner::new(table.number(steps).unwrap_or(0), steps),
+    let bin = |p: &[f64; 3], last: &mut LastBlock| match grid.steps(*p) {
+        Some(steps) => Corner::new(table.number_near(steps, last).unwrap_or(0), steps),
         None => Corner::NOWHERE,
     };
     scan.vertices(crew, Vec::new, |corners: &mut Vec<Corner>, chunk| {
@@ -120,12 +127,13 @@ pub(super) fn bin_vertices(
             return Ok(());
         }
         corners.clear();
+        let mut last = LastBlock::default();
         if coherent {
-            corners.extend(chunk.positions.iter().map(bin));
+            corners.extend(chunk.positions.iter().map(|p| bin(p, &mut last)));
         } else {
             for positions in chunk.positions.chunks(AT_ONCE) {
                 table.fetch_numbers(positions.iter().filter_map(|p| grid.steps(*p)));
-                corners.extend(positions.iter().map(bin));
+                corners.extend(positions.iter().map(|p| bin(p, &mut last)));
             }
         }
         spill.write(chunk.first, corners)
@@ -142,34 +150,34 @@ fn fetch(all: &[AtomicU64], used: &Used, triangles: &[[u32; 3]]) {
 }
 
 /// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
-pub(super) fn stream<K: Sink>(
+pub(super) fn stream<'u, K: Sink>(
     scan: &Scan,
     crew: &Crew,
     corners: &Corners,
-    used: &Used,
+    used: &'u Used,
     sink: impl Fn() -> K + Sync,
-) -> Result<Vec<Feed<K>>> {
+) -> Result<Vec<Feed<'u, K>>> {
     let mut feeds = match corners {
         Corners::Resident { all, coherent } => scan.triangles(
             crew,
-            || Feed::new(sink()),
+            || Feed::new(sink(), used),
             |feed, chunk| {
                 for triangles in chunk.triangles.chunks(AT_ONCE) {
                     if !coherent {
                         fetch(all, used, triangles);
                     }
                     for triangle in triangles {
-                        feed.gather(*triangle, used, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                        feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
                     }
                 }
                 Ok(())
             },
         )?,
         Corners::Paged(spill) => {
-            let worker = || (Feed::new(sink()), PageCache::new(spill));
+            let worker = || (Feed::new(sink(), used), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
-                    feed.gather(*triangle, used, |v| pages.get(v))?;
+                    feed.gather(*triangle, |v| pages.get(v))?;
                 }
                 Ok(())
             })?;
@@ -178,26 +186,26 @@ pub(super) fn stream<K: Sink>(
         Corners::Joined { spill, scratch, resident_bytes } => {
             join::stream(scan, crew, (spill, used), scratch, *resident_bytes, sink)?
         }
-        Corners::Soup(grid, table) => soup(scan, crew, grid, table, sink)?,
+        Corners::Soup(grid, table) => soup(scan, crew, (grid, table), used, sink)?,
     };
-    feeds.iter_mut().for_each(Feed::deliver);
+    feeds.iter_mut().for_each(Feed::finish);
     Ok(feeds)
 }
 
-fn soup<K: Sink>(
+fn soup<'u, K: Sink>(
     scan: &Scan,
     crew: &Crew,
-    grid: &Grid,
-    table: &CellTable,
+    (grid, table): (&Grid, &CellTable),
+    used: &'u Used,
     sink: impl Fn() -> K + Sync,
-) -> Result<Vec<Feed<K>>> {
+) -> Result<Vec<Feed<'u, K>>> {
     let bin = |p: [f64; 3]| match grid.steps(p) {
         Some(steps) => table.number(steps).map(|cell| Corner::new(cell, steps)),
         None => Some(Corner::NOWHERE),
     };
     scan.soup(
         crew,
-        || Feed::new(sink()),
+        || Feed::new(sink(), used),
         |feed, chunk| {
             if table.is_full() {
                 return Ok(());

@@ -1,11 +1,12 @@
 //! The face pass: every face adds its plane to the cells of its corners, and survives if they are three.
 //!
-//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, cross products,
-//! normals (four at a time), sums. One face at a time would wait for its own square root and division.
+//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, edges, cross
+//! products, normals, samples (all of these without a branch, several faces at a time), sums. One face at a time would
+//! wait for its own square root and division.
 
 use super::corners::{BATCH, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, absolute, coordinates, is_far};
-use super::sampling::SampleWorker;
+use super::sampling::{SampleWorker, draw};
 use super::sums::{Gatherer, Share, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
@@ -32,6 +33,16 @@ pub(super) const BATCH_BYTES: usize = size_of::<Batch>();
 /// Faces between two stages: those within a cell first, those across cells behind them.
 struct Batch {
     faces: [[Corner; 3]; BATCH],
+    /// The edges from the first corner to the others, in steps; of [`Batch::long`] ones anything.
+    edges: [[[i32; BATCH]; 3]; 2],
+    /// What chance draws of a face.
+    lots: [u32; BATCH],
+    /// Faces with an edge too long for products of 32 bits, and how many these are.
+    long: [u16; BATCH],
+    longs: usize,
+    /// Faces that ask for samples, and how many of them each.
+    sampled: [u16; BATCH],
+    samples: [u32; BATCH],
     /// Cross product of two edges, later the unit normal.
     x: [f32; BATCH],
     y: [f32; BATCH],
@@ -42,6 +53,9 @@ struct Batch {
 
 /// Faces from anywhere whose cells' lines are fetched together: few enough for the first-level cache.
 const AT_ONCE: usize = 64;
+
+/// Edges whose products, and differences of two of them, are exact in 32 bits.
+const SHORT: i64 = (1 << 15) - 1;
 
 /// What cross products are scaled by, so that no square of one can overflow or vanish: they are 1 to 2⁶⁹ steps².
 const CROSS_SCALE: f32 = 1.0 / (1u64 << 32) as f32;
@@ -56,13 +70,26 @@ impl<'a> FaceWorker<'a> {
         quantum: f64,
         coherent: bool,
     ) -> Self {
-        let faces = [[Corner::default(); 3]; BATCH];
+        let lanes = [0.0; BATCH];
+        let batch = Batch {
+            faces: [[Corner::default(); 3]; BATCH],
+            edges: [[[0; BATCH]; 3]; 2],
+            lots: [0; BATCH],
+            long: [0; BATCH],
+            longs: 0,
+            sampled: [0; BATCH],
+            samples: [0; BATCH],
+            x: lanes,
+            y: lanes,
+            z: lanes,
+            w: lanes,
+        };
         FaceWorker {
             table,
             gatherer: Gatherer::new(sums),
             appender: Appender::new(survivors),
             samples,
-            batch: Box::new(Batch { faces, x: [0.0; BATCH], y: [0.0; BATCH], z: [0.0; BATCH], w: [0.0; BATCH] }),
+            batch: Box::new(batch),
             quanta: (0.5 / (STEPS * STEPS * quantum) / f64::from(CROSS_SCALE)) as f32,
             flat_faces: 0,
             coherent,
@@ -124,13 +151,17 @@ impl Sink for FaceWorker<'_> {
         if !self.coherent {
             self.table.fetch(self.batch.faces[inside..end].as_flattened().iter().map(|corner| corner.cell()));
         }
-        self.batch.cross_inside(inside);
-        self.batch.cross_across(inside, end, self.table);
+        self.batch.edges_inside(inside);
+        self.batch.edges_across(inside, end, self.table);
+        self.batch.cross(end);
+        self.batch.cross_long(self.table);
         self.flat_faces += u64::from(self.batch.normalise(end, self.quanta));
         if let Some(samples) = &mut self.samples {
+            let asking = self.batch.sample(end, samples.rate());
             let batch = &*self.batch;
-            for i in 0..end {
-                samples.take(batch.faces[i], batch.w[i], || Vec3::new(batch.x[i], batch.y[i], batch.z[i]));
+            for &i in &batch.sampled[..asking] {
+                let i = usize::from(i);
+                samples.add(batch.faces[i], batch.samples[i], Vec3::new(batch.x[i], batch.y[i], batch.z[i]));
             }
         }
         if self.coherent {
@@ -164,41 +195,79 @@ impl Batch {
         inside
     }
 
-    /// Cross products of faces within a cell: edges are below 2¹³, so 32 bits are exact.
-    fn cross_inside(&mut self, inside: usize) {
-        for i in 0..inside {
-            let [p, q, r] = self.faces[i].map(Corner::local);
-            let (u, v): ([i32; 3], [i32; 3]) =
-                (std::array::from_fn(|k| q[k] - p[k]), std::array::from_fn(|k| r[k] - p[k]));
-            self.x[i] = (u[1] * v[2] - u[2] * v[1]) as f32 * CROSS_SCALE;
-            self.y[i] = (u[2] * v[0] - u[0] * v[2]) as f32 * CROSS_SCALE;
-            self.z[i] = (u[0] * v[1] - u[1] * v[0]) as f32 * CROSS_SCALE;
+    /// Edges of faces within a cell.
+    fn edges_inside(&mut self, inside: usize) {
+        let [us, vs] = &mut self.edges;
+        for (i, (face, lot)) in self.faces[..inside].iter().zip(&mut self.lots).enumerate() {
+            let [p, q, r] = face.map(Corner::local);
+            for (k, (u, v)) in us.iter_mut().zip(vs.iter_mut()).enumerate() {
+                u[i] = q[k] - p[k];
+                v[i] = r[k] - p[k];
+            }
+            *lot = draw(*face);
+        }
+        self.longs = 0;
+    }
+
+    /// Edges of faces across cells.
+    fn edges_across(&mut self, inside: usize, end: usize, table: &CellTable) {
+        let [us, vs] = &mut self.edges;
+        for i in inside..end {
+            let face = self.faces[i];
+            let keys = face.map(|corner| table.key(corner.cell()));
+            let (at, local) = (keys.map(coordinates), face.map(Corner::local));
+            let mut beyond = 0u64;
+            for (k, (us, vs)) in us.iter_mut().zip(vs.iter_mut()).enumerate() {
+                let place = |corner: usize| (at[corner][k] << LOCAL_BITS) + i64::from(local[corner][k]);
+                let (u, v) = (place(1) - place(0), place(2) - place(0));
+                beyond |= (u + SHORT) as u64 | (v + SHORT) as u64;
+                us[i] = u as i32;
+                vs[i] = v as i32;
+            }
+            self.lots[i] = draw(face);
+            // What is at most SHORT either way has no bit above those of its double now.
+            let is_long = beyond > 2 * SHORT as u64 + 1 || is_far(keys[0] | keys[1] | keys[2]);
+            self.long[self.longs] = i as u16;
+            self.longs += usize::from(is_long);
         }
     }
 
-    /// Cross products of faces across cells: exact before they are rounded, so they do not depend on the corner from
-    /// which the edges start.
-    fn cross_across(&mut self, inside: usize, end: usize, table: &CellTable) {
-        for i in inside..end {
-            let face = self.faces[i];
-            let local = face.map(Corner::local);
-            let keys = face.map(|corner| table.key(corner.cell()));
-            if is_far(keys[0] | keys[1] | keys[2]) {
-                [self.x[i], self.y[i], self.z[i]] = far_cross(face, keys);
-                continue;
+    /// Cross products: exact before they are rounded, so they do not depend on the corner from which the edges start.
+    fn cross(&mut self, end: usize) {
+        let [u, v] = &self.edges;
+        let minor = |to: &mut [f32; BATCH], i: usize, j: usize| {
+            let factors = u[i][..end].iter().zip(&v[j]).zip(u[j].iter().zip(&v[i]));
+            for (to, ((a, d), (b, c))) in to.iter_mut().zip(factors) {
+                *to = a.wrapping_mul(*d).wrapping_sub(b.wrapping_mul(*c)) as f32 * CROSS_SCALE;
             }
-            let at = keys.map(coordinates);
-            let edge = |to: usize| -> [i64; 3] {
-                std::array::from_fn(|k| ((at[to][k] - at[0][k]) << LOCAL_BITS) + i64::from(local[to][k] - local[0][k]))
-            };
-            let (u, v) = (edge(1), edge(2));
-            let size = u.iter().chain(&v).fold(0, |size, x| size | x.unsigned_abs());
-            let minor =
-                |i: usize, j: usize| if size < 1 << 31 { (u[i] * v[j] - u[j] * v[i]) as f32 } else { wide(u, v, i, j) };
-            self.x[i] = minor(1, 2) * CROSS_SCALE;
-            self.y[i] = minor(2, 0) * CROSS_SCALE;
-            self.z[i] = minor(0, 1) * CROSS_SCALE;
+        };
+        minor(&mut self.x, 1, 2);
+        minor(&mut self.y, 2, 0);
+        minor(&mut self.z, 0, 1);
+    }
+
+    /// The same for long edges.
+    fn cross_long(&mut self, table: &CellTable) {
+        for &i in &self.long[..self.longs] {
+            let i = usize::from(i);
+            let keys = self.faces[i].map(|corner| table.key(corner.cell()));
+            [self.x[i], self.y[i], self.z[i]] = long_cross(self.faces[i], keys);
         }
+    }
+
+    /// How many samples faces ask for: as many as their weight comes to, rounded up or down by what chance has drawn.
+    /// Returns how many ask for any.
+    fn sample(&mut self, end: usize, rate: f32) -> usize {
+        let counts = self.samples[..end].iter_mut().zip(&self.w).zip(&self.lots);
+        for ((count, w), lot) in counts {
+            *count = (w * rate + (lot >> 8) as f32 * (1.0 / (1 << 24) as f32)) as u32;
+        }
+        let mut asking = 0;
+        for (i, count) in self.samples[..end].iter().enumerate() {
+            self.sampled[asking] = i as u16;
+            asking += usize::from(*count > 0);
+        }
+        asking
     }
 
     /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still
@@ -218,19 +287,18 @@ impl Batch {
     }
 }
 
-/// The cross product of a face with a corner in a far cell, made shorter where its square would overflow: its weight is
-/// beyond all bounds anyway.
+/// The cross product of a face with long edges, made shorter where its square would overflow, as it may with a corner
+/// in a far cell: its weight is beyond all bounds anyway.
 #[cold]
-fn far_cross(face: [Corner; 3], keys: [u64; 3]) -> [f32; 3] {
+fn long_cross(face: [Corner; 3], keys: [u64; 3]) -> [f32; 3] {
     let p: [[i64; 3]; 3] = std::array::from_fn(|corner| absolute(face[corner], keys[corner]));
     let edge = |to: usize| -> [i64; 3] { std::array::from_fn(|axis| p[to][axis] - p[0][axis]) };
     let (u, v) = (edge(1), edge(2));
     let cross = glam::Vec3::new(wide(u, v, 1, 2), wide(u, v, 2, 0), wide(u, v, 0, 1)) * CROSS_SCALE;
     let excess = cross.abs().max_element() / (1u64 << 60) as f32;
-    (cross / excess.max(1.0)).to_array()
+    if is_far(keys[0] | keys[1] | keys[2]) { (cross / excess.max(1.0)).to_array() } else { cross.to_array() }
 }
 
-#[cold]
 fn wide(u: [i64; 3], v: [i64; 3], i: usize, j: usize) -> f32 {
     (i128::from(u[i]) * i128::from(v[j]) - i128::from(u[j]) * i128::from(v[i])) as f32
 }

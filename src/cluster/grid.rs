@@ -95,7 +95,13 @@ pub(super) struct Grid {
     /// Side of a cell in the frame.
     pub(super) cell: f64,
     steps_per_unit: f64,
+    /// The same two in the file's units, unless these are beyond all measure.
+    in_file: Option<(DVec3, f64)>,
 }
+
+/// Within these bounds of its side's exponent a scan is measured in its own units: scaling by a power of two is exact,
+/// so that steps come out the same.
+const ORDINARY: std::ops::Range<f64> = 1e-150..1e150;
 
 impl Grid {
     /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long). The origin is a
@@ -108,7 +114,10 @@ impl Grid {
         } else {
             place.min - 0.25 * cell
         };
-        Grid { frame: place.frame, origin, cell, steps_per_unit: STEPS / cell }
+        let steps_per_unit = STEPS / cell;
+        let unit = place.frame.to_file(1.0);
+        let in_file = ORDINARY.contains(&unit).then(|| (origin * unit, steps_per_unit / unit));
+        Grid { frame: place.frame, origin, cell, steps_per_unit, in_file }
     }
 
     /// Where steps are counted from, in the frame.
@@ -119,11 +128,17 @@ impl Grid {
     /// The steps of a position in the file's units; `None` when it is not finite, or further off than even far cells are.
     #[inline(always)]
     pub(super) fn steps(&self, p: [f64; 3]) -> Option<Steps> {
-        let f = self.frame;
-        let p = DVec3::new(f.to_frame(p[0]), f.to_frame(p[1]), f.to_frame(p[2]));
-        let s = (p - self.origin) * self.steps_per_unit;
+        let s = match self.in_file {
+            Some((origin, steps_per_unit)) => (DVec3::from(p) - origin) * steps_per_unit,
+            None => self.framed_steps(p),
+        };
         let steps = [round(s.x), round(s.y), round(s.z)];
         if (steps[0] | steps[1] | steps[2]) >> STEP_BITS == 0 { Some(steps) } else { far_steps(s) }
+    }
+
+    #[cold]
+    fn framed_steps(&self, p: [f64; 3]) -> DVec3 {
+        (DVec3::from(p.map(|x| self.frame.to_frame(x))) - self.origin) * self.steps_per_unit
     }
 
     /// The position in the frame of a place `local` (in the cell's sides, about its centre) in the cell `key`.

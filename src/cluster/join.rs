@@ -133,17 +133,17 @@ impl<'a> Buffers<'a> {
 
 /// Streams every face of an indexed scan to sinks, with at most `resident_bytes` of the spill in memory (or a 256th of
 /// it, if that is more).
-pub(super) fn stream<K: Sink>(
+pub(super) fn stream<'u, K: Sink>(
     scan: &Scan,
     crew: &Crew,
-    (spill, used): (&SpillFile, &Used),
+    (spill, used): (&SpillFile, &'u Used),
     scratch: &Scratch,
     resident_bytes: u64,
     sink: impl Fn() -> K + Sync,
-) -> Result<Vec<Feed<K>>> {
+) -> Result<Vec<Feed<'u, K>>> {
     let cut = Cut::new(spill.vertices(), resident_bytes);
     let waiting = partition(scan, crew, cut, scratch)?;
-    let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink())).collect();
+    let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used)).collect();
     feeds[0].repeated = waiting.repeated;
     let partial: [Vec<Run>; 2] = std::array::from_fn(|_| (0..cut.ranges()).map(|_| Run::default()).collect());
     let mut corners = vec![Corner::default(); cut.span(0).1];
@@ -159,16 +159,8 @@ pub(super) fn stream<K: Sink>(
         for known in 1..3 {
             files.extend(partial[known - 1][range].take().map(|file| (known, file)));
         }
-        let sweep = Sweep {
-            cut,
-            range,
-            first: first as u32,
-            corners: &corners[..count],
-            used,
-            files,
-            partial: &partial,
-            scratch,
-        };
+        let sweep =
+            Sweep { cut, range, first: first as u32, corners: &corners[..count], files, partial: &partial, scratch };
         sweep.run(crew, &mut feeds)?;
     }
     Ok(feeds)
@@ -221,7 +213,6 @@ struct Sweep<'a> {
     range: usize,
     first: u32,
     corners: &'a [Corner],
-    used: &'a Used,
     /// Corners known a record, and where the records are.
     files: Vec<(usize, ScratchFile)>,
     /// Faces with one and with two corners known, by the range where they wait.
@@ -230,7 +221,7 @@ struct Sweep<'a> {
 }
 
 impl Sweep<'_> {
-    fn run<K: Sink>(&self, crew: &Crew, feeds: &mut [Feed<K>]) -> Result<()> {
+    fn run<K: Sink>(&self, crew: &Crew, feeds: &mut [Feed<'_, K>]) -> Result<()> {
         let next = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             let next = &next;
@@ -240,7 +231,7 @@ impl Sweep<'_> {
         })
     }
 
-    fn work<K: Sink>(&self, crew: &Crew, feed: &mut Feed<K>, next: &AtomicUsize) -> Result<()> {
+    fn work<K: Sink>(&self, crew: &Crew, feed: &mut Feed<'_, K>, next: &AtomicUsize) -> Result<()> {
         let mut onward = [0, 1].map(|k: usize| Buffers::new(&self.partial[k], self.scratch));
         let mut words = Vec::new();
         let mut turn = next.fetch_add(1, Relaxed);
@@ -269,7 +260,7 @@ impl Sweep<'_> {
         &self,
         record: &[u32],
         known: usize,
-        feed: &mut Feed<K>,
+        feed: &mut Feed<'_, K>,
         onward: &mut [Buffers; 2],
     ) -> Result<()> {
         let mut face = [Corner::NOWHERE; 3];
@@ -285,7 +276,7 @@ impl Sweep<'_> {
                     return Ok(());
                 }
                 Some(found) => {
-                    self.used.add(*vertex);
+                    feed.uses(*vertex);
                     *corner = *found;
                 }
                 None => left += 1,

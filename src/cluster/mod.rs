@@ -5,9 +5,9 @@
 //! placed where the squared distance to the planes it has learnt is least, and hands those planes on as its quadric.
 //! After Lindstrom, *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
 //!
-//! Passes over the scan: extent and a count of cells (`survey.rs`); vertices to the spill (`spill.rs`); faces to sums and survivors (`faces.rs`,
-//! `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more (`border.rs`). A soup has no vertex
-//! pass: corners are binned as they come.
+//! Passes over the scan: extent and a count of cells (`survey.rs`); vertices to the spill (`spill.rs`); faces to sums
+//! and survivors (`faces.rs`, `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more
+//! (`border.rs`). A soup has no vertex pass: corners are binned as they come.
 //!
 //! **Promises.** The result depends on the scan and the options alone, not on threads, nor on the order of faces or
 //! vertices beyond the sample that sizes the cells: sums are integers, cells are numbered in Morton order, survivors
@@ -309,10 +309,10 @@ impl Run<'_> {
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
         self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
         self.stats.unreferenced_vertices = used.unused(self.scan.vertex_count());
-        drop(used);
         for mut feed in feeds {
             feed.sink.flush();
         }
+        drop(used);
         let samples = sampler.map(Sampler::finish).transpose()?;
         if table.is_full() {
             drop((table, sums, survivors));

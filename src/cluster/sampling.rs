@@ -1,8 +1,8 @@
 //! Samples of the surface, taken while faces stream past, for the refit of the result.
 //!
-//! What clustering makes of a scan is not the scan: a cell's vertex lies where its planes agree, and parts thinner than a cell
-//! are lost or swollen. The refit measures against points of the scan itself. At 8 times the target that takes 6 %
-//! off E_avg, at 4 times a quarter, at twice nearly a half.
+//! What clustering makes of a scan is not the scan: a cell's vertex lies where its planes agree, and parts thinner than
+//! a cell are lost or swollen. The refit measures against points of the scan itself. At 8 times the target that takes 6
+//! % off E_avg, at 4 times a quarter, at twice nearly a half.
 //!
 //! A face gets as many samples as its area asks for, rounded up or down by a hash of where it lies: neither threads nor
 //! the order of faces decide. Were there more than was estimated, all go whose level is too low.
@@ -10,7 +10,7 @@
 use super::grid::{Corner, Grid, LOCAL_BITS, STEPS, absolute, is_far};
 use super::table::{CellTable, mix};
 use crate::error::{Error, Result};
-use crate::mesh::samples::{LEVELS, Lattice, SAMPLE_BYTES, SampleFile, SurfaceSample, level_for};
+use crate::mesh::samples::{LEVELS, Lattice, SAMPLE_BYTES, SampleFile, SurfaceSample, fold, level_for};
 use crate::scratch::{Scratch, ScratchFile};
 use glam::{DVec3, Vec3};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
@@ -27,14 +27,26 @@ const SLACK: u64 = 2;
 /// A corner's place in its cell.
 const LOCAL: u64 = (1 << (3 * LOCAL_BITS)) - 1;
 
+/// What chance draws of a face, whichever of its corners comes first.
+#[inline(always)]
+pub(super) fn draw(face: [Corner; 3]) -> u32 {
+    let sum = face.iter().fold(0, |sum, corner| sum + (corner.0 & LOCAL));
+    let hash = (sum ^ sum >> 26) as u32;
+    let hash = (hash ^ hash >> 16).wrapping_mul(0x7feb_352d);
+    let hash = (hash ^ hash >> 15).wrapping_mul(0x846c_a68b);
+    hash ^ hash >> 16
+}
+
 /// Samples of one face, at most.
 const MOST_A_FACE: u32 = 1 << 20;
 
 /// Where workers write samples.
 pub(super) struct Sampler<'a> {
-    grid: &'a Grid,
     table: &'a CellTable,
     lattice: Lattice,
+    /// The lattice's steps of the grid's origin, and of a step of the grid.
+    origin: DVec3,
+    scale: f64,
     /// Samples for each quantum of weight.
     rate: f64,
     /// The area of a quantum in the frame.
@@ -59,9 +71,10 @@ impl<'a> Sampler<'a> {
     ) -> Result<Self> {
         let rate = wanted as f64 * quantum / area.max(quantum);
         Ok(Sampler {
-            grid,
             table,
             lattice,
+            origin: lattice.steps_to(grid.origin()),
+            scale: lattice.steps_of(grid.cell / STEPS),
             rate,
             quantum_area: quantum * grid.cell * grid.cell,
             most: SLACK * wanted,
@@ -107,7 +120,6 @@ impl<'a> Sampler<'a> {
 /// A worker's end of [`Sampler`].
 pub(super) struct SampleWorker<'a> {
     sampler: &'a Sampler<'a>,
-    rate: f32,
     held: Vec<SurfaceSample>,
     counts: [u64; LEVELS],
 }
@@ -115,41 +127,42 @@ pub(super) struct SampleWorker<'a> {
 impl<'a> SampleWorker<'a> {
     pub(super) fn new(sampler: &'a Sampler<'a>) -> Self {
         let held = Vec::with_capacity(HELD_BACK);
-        SampleWorker { sampler, rate: sampler.rate as f32, held, counts: [0; LEVELS] }
+        SampleWorker { sampler, held, counts: [0; LEVELS] }
     }
 
-    /// Takes the samples that a face of so many quanta asks for.
-    #[inline(always)]
-    pub(super) fn take(&mut self, face: [Corner; 3], quanta: f32, normal: impl Fn() -> Vec3) {
-        let hash = mix(face.iter().fold(0, |sum, corner| sum + (corner.0 & LOCAL)));
-        let chance = (hash >> 40) as f32 * (1.0 / (1 << 24) as f32);
-        let count = (quanta * self.rate + chance) as u32;
-        if count > 0 {
-            self.add(face, hash, count.min(MOST_A_FACE), normal());
-        }
+    /// Samples for each quantum of weight.
+    pub(super) fn rate(&self) -> f32 {
+        self.sampler.rate as f32
     }
 
+    /// Takes so many samples of a face.
     #[inline(never)]
-    fn add(&mut self, face: [Corner; 3], mut hash: u64, count: u32, normal: Vec3) {
-        let Sampler { grid, table, lattice, .. } = self.sampler;
+    pub(super) fn add(&mut self, face: [Corner; 3], count: u32, normal: Vec3) {
+        let Sampler { table, lattice, origin, scale, .. } = self.sampler;
         let keys = face.map(|corner| table.key(corner.cell()));
-        if keys.iter().any(|key| is_far(*key)) || normal == Vec3::ZERO {
+        if is_far(keys[0] | keys[1] | keys[2]) || normal == Vec3::ZERO {
             return;
         }
         // A face may come with any of its corners first.
-        let least = (0..3).min_by_key(|&i| (keys[i], face[i].0 & LOCAL)).unwrap_or(0);
-        let at: [[i64; 3]; 3] = std::array::from_fn(|i| absolute(face[(least + i) % 3], keys[(least + i) % 3]));
-        let edge = |to: usize| DVec3::from(std::array::from_fn(|axis| (at[to][axis] - at[0][axis]) as f64));
-        let (first, u, v) = (DVec3::from(at[0].map(|x| x as f64)), edge(1), edge(2));
-        for _ in 0..count {
+        let place = |i: usize| (keys[i], face[i].0 & LOCAL);
+        let least = if place(0) < place(1) && place(0) < place(2) {
+            [0, 1, 2]
+        } else if place(1) < place(2) {
+            [1, 2, 0]
+        } else {
+            [2, 0, 1]
+        };
+        let at = least.map(|i| DVec3::from(absolute(face[i], keys[i]).map(|x| x as f64)));
+        let (first, u, v) = (at[0], at[1] - at[0], at[2] - at[0]);
+        let folded = fold(normal);
+        let mut hash = u64::from(draw(face)) ^ (face[least[0]].0 & LOCAL) << 32;
+        for _ in 0..count.min(MOST_A_FACE) {
             hash = mix(hash);
-            let part = |bits: u64| (bits & 0xff_ffff) as f64 / f64::from(1 << 24);
-            let (mut s, mut t) = (part(hash >> 8), part(hash >> 36));
-            if s + t > 1.0 {
-                (s, t) = (1.0 - s, 1.0 - t);
-            }
-            let position = grid.origin() + (first + s * u + t * v) * (grid.cell / STEPS);
-            if let Some(sample) = SurfaceSample::new(lattice, position, normal, face[least].cell()) {
+            let part = |bits: u64| (bits as u32 & 0xff_ffff) as f32 * (1.0 / (1 << 24) as f32);
+            let (s, t) = (f64::from(part(hash >> 8)), f64::from(part(hash >> 36)));
+            let (s, t) = if s + t > 1.0 { (1.0 - s, 1.0 - t) } else { (s, t) };
+            let steps = *origin + (first + s * u + t * v) * *scale;
+            if let Some(sample) = SurfaceSample::placed(lattice, steps, folded, face[least[0]].cell()) {
                 self.hold(sample);
             }
         }

@@ -14,6 +14,7 @@ use glam::{Vec3A, Vec4, Vec4Swizzles};
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use wide::f32x4;
 
 /// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
@@ -57,7 +58,7 @@ pub(super) struct Sums {
 /// One face's share in a cell, in quanta: about the cell's centre, lengths in cells. Single precision is finer than the
 /// rounding to quanta that follows.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Share([f32; PADDED]);
+pub(super) struct Share([Vec4; PADDED / 4]);
 
 impl Share {
     /// The plane with unit normal `n` (zero for a face without area) through `p`, and `p` itself, with weight `w` ≥ 1.
@@ -66,12 +67,18 @@ impl Share {
         let w = w.min(HEAVIEST);
         let u = n.extend(-n.dot(p));
         let m = u * w;
-        let mut lanes = [0.0; PADDED];
-        (u * m.xxxx()).write_to_slice(&mut lanes[0..]);
-        (u.yzwz() * m.yyyz()).write_to_slice(&mut lanes[4..]);
-        (u.wwww() * m.zwww()).write_to_slice(&mut lanes[8..]);
-        (Vec4::new(1.0, p.x, p.y, p.z) * w).write_to_slice(&mut lanes[12..]);
-        Share(lanes)
+        let place = Vec4::new(1.0, p.x, p.y, p.z);
+        Share([u * m.xxxx(), u.yzwz() * m.yyyz(), u.wwww() * m.zwww(), place * w])
+    }
+
+    #[inline(always)]
+    fn weight(&self) -> f32 {
+        self.0[PADDED_WEIGHT / 4].x
+    }
+
+    fn lanes(&self) -> [f32; PADDED] {
+        let [a, b, c, d] = self.0.map(|x| x.to_array());
+        std::array::from_fn(|i| [a, b, c, d][i / 4][i % 4])
     }
 }
 
@@ -121,14 +128,20 @@ impl<'a> Gatherer<'a> {
     /// A share in the 32 bits of a line; what does not fit goes aside at once.
     #[inline(always)]
     fn narrow(&self, cell: u32, share: &Share) -> Option<[i32; PADDED]> {
-        if share.0[PADDED_WEIGHT] > LIMIT as f32 {
-            let wide =
-                share.0.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
-            self.sums.add_aside(cell, &unpad(&wide));
+        if share.weight() > LIMIT as f32 {
+            self.add_wide(cell, share);
             return None;
         }
         // A weight at the limit still fits 32 bits, and the other lanes are no larger.
-        Some(share.0.map(|x| (f64::from(x) + ROUNDER).to_bits() as i32))
+        let rounded = share.0.map(|x| f32x4::from(x.to_array()).fast_round_int().to_array());
+        Some(bytemuck::cast(rounded))
+    }
+
+    #[cold]
+    fn add_wide(&self, cell: u32, share: &Share) {
+        let wide =
+            share.lanes().map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
+        self.sums.add_aside(cell, &unpad(&wide));
     }
 
     /// Has the lines of cells that are about to be added to brought near, so that the waits for them overlap.
@@ -287,7 +300,7 @@ mod tests {
         let mut shares = shares(30_000);
         let mut expected = vec![[0i64; LANES]; 5000];
         for (cell, share) in &shares {
-            for (sum, x) in expected[*cell as usize].iter_mut().zip(unpad(&share.0)) {
+            for (sum, x) in expected[*cell as usize].iter_mut().zip(unpad(&share.lanes())) {
                 *sum += x.round_ties_even() as i64;
             }
         }
@@ -309,8 +322,8 @@ mod tests {
     #[test]
     fn no_lane_exceeds_the_weight() {
         for (_, share) in shares(10_000) {
-            let w = share.0[PADDED_WEIGHT];
-            assert!(share.0.iter().all(|x| x.abs() <= w * (1.0 + 1e-6)));
+            let w = share.weight();
+            assert!(share.lanes().iter().all(|x| x.abs() <= w * (1.0 + 1e-6)));
         }
     }
 }

@@ -7,6 +7,7 @@
 
 use crate::error::Result;
 use crate::read::Crew;
+use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
 
 /// Bytes of a surviving triple.
@@ -111,11 +112,12 @@ fn decode([a, b, c]: [u32; 3]) -> [u32; 3] {
 /// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
 /// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
 pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
-    for triple in triples.iter_mut() {
-        *triple = encode(triple.map(|cell| ranks[cell as usize]));
-    }
+    triples
+        .par_iter_mut()
+        .with_min_len(4096)
+        .for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
     crew.progress.check()?;
-    sort(triples, crew.workers);
+    triples.par_sort_unstable();
     crew.progress.check()?;
     let (mut kept, mut pairs) = (0, 0);
     let mut next = 0;
@@ -135,19 +137,6 @@ pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Re
     }
     triples.truncate(kept);
     Ok(pairs)
-}
-
-/// Sorts in place, the halves on two threads and their halves likewise.
-fn sort(triples: &mut [[u32; 3]], workers: usize) {
-    if workers < 2 || triples.len() < 1 << 14 {
-        return triples.sort_unstable();
-    }
-    let middle = triples.len() / 2;
-    let (left, _, right) = triples.select_nth_unstable(middle);
-    std::thread::scope(|scope| {
-        scope.spawn(|| sort(left, workers / 2));
-        sort(right, workers - workers / 2);
-    });
 }
 
 #[cfg(test)]

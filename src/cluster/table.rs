@@ -74,7 +74,21 @@ impl CellTable {
     /// The number of the cell that holds a position, given out now if it is new; `None` when there is no room.
     #[inline(always)]
     pub(super) fn number(&self, s: Steps) -> Option<u32> {
-        let slot = self.slot(s)?;
+        self.number_in(self.slot(block_key(s) + 1)?, s)
+    }
+
+    /// The same, sooner where the position before was in the same block.
+    #[inline(always)]
+    pub(super) fn number_near(&self, s: Steps, last: &mut LastBlock) -> Option<u32> {
+        let key = block_key(s) + 1;
+        if last.key != key {
+            *last = LastBlock { key, slot: self.slot(key)? };
+        }
+        self.number_in(last.slot, s)
+    }
+
+    #[inline(always)]
+    fn number_in(&self, slot: usize, s: Steps) -> Option<u32> {
         let entry = &self.numbers[slot * 64 + place_in_block(s)];
         match entry.load(Acquire) {
             0 | PENDING | REFUSED => self.hand_out(entry, cell_key(s)),
@@ -83,8 +97,7 @@ impl CellTable {
     }
 
     #[inline(always)]
-    fn slot(&self, s: Steps) -> Option<usize> {
-        let key = block_key(s) + 1;
+    fn slot(&self, key: u64) -> Option<usize> {
         let mut slot = spread(key, self.blocks.len());
         loop {
             match self.blocks[slot].load(Relaxed) {
@@ -199,6 +212,13 @@ impl CellTable {
         self.blocks = Vec::new();
         self.numbers = Vec::new();
     }
+}
+
+/// The block that was looked up last: its key plus one, 0 for none, and where it is.
+#[derive(Default)]
+pub(super) struct LastBlock {
+    key: u64,
+    slot: usize,
 }
 
 const BLOCK_BITS: u32 = COORDINATE_BITS - 2;

@@ -32,13 +32,12 @@ impl Used {
         8 * self.0.len() as u64
     }
 
-    /// Adds a vertex. Nearly all that come are there already, and are not written.
+    /// Adds vertices of one word. Nearly all that come are there already, and are not written.
     #[inline(always)]
-    pub(super) fn add(&self, vertex: u32) {
-        let Some(word) = self.0.get(vertex as usize / 64) else { return };
-        let bit = 1 << (vertex % 64);
-        if word.load(Relaxed) & bit == 0 {
-            word.fetch_or(bit, Relaxed);
+    fn add(&self, word: u32, bits: u64) {
+        let Some(word) = self.0.get(word as usize) else { return };
+        if word.load(Relaxed) & bits != bits {
+            word.fetch_or(bits, Relaxed);
         }
     }
 
@@ -52,5 +51,45 @@ impl Used {
     pub(super) fn unused(&self, vertices: u64) -> Option<u64> {
         let count = || self.0.iter().map(|word| u64::from(word.load(Relaxed).count_ones())).sum::<u64>();
         (!self.0.is_empty()).then(|| vertices - count())
+    }
+}
+
+/// Words that a worker holds back.
+const HELD_BACK: usize = 256;
+
+/// Bytes of a [`Marker`].
+pub(super) const MARKER_BYTES: usize = HELD_BACK * 12;
+
+/// A worker's end of a [`Used`]: faces that follow one another use the same few words of vertices again and again.
+/// Nothing counts until [`Marker::flush`].
+pub(super) struct Marker<'a> {
+    used: &'a Used,
+    /// The number of each held word.
+    numbers: Box<[u32; HELD_BACK]>,
+    words: Box<[u64; HELD_BACK]>,
+}
+
+impl<'a> Marker<'a> {
+    pub(super) fn new(used: &'a Used) -> Self {
+        Marker { used, numbers: Box::new([0; HELD_BACK]), words: Box::new([0; HELD_BACK]) }
+    }
+
+    /// Adds a vertex.
+    #[inline(always)]
+    pub(super) fn add(&mut self, vertex: u32) {
+        let number = vertex / 64;
+        let slot = number as usize % HELD_BACK;
+        if self.numbers[slot] != number {
+            self.used.add(self.numbers[slot], std::mem::take(&mut self.words[slot]));
+            self.numbers[slot] = number;
+        }
+        self.words[slot] |= 1 << (vertex % 64);
+    }
+
+    /// Hands on all that was held back.
+    pub(super) fn flush(&mut self) {
+        for (number, word) in self.numbers.iter().zip(&mut *self.words) {
+            self.used.add(*number, std::mem::take(word));
+        }
     }
 }

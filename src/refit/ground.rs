@@ -27,7 +27,7 @@ pub(super) struct Place {
 const LONGEST_WALK: usize = 64;
 
 /// Differences of distances below this share of a face's side are rounding.
-const ROUNDING: f32 = 4e-6;
+pub(super) const ROUNDING: f32 = 4e-6;
 
 /// Gains that differ from [`ROUNDING`] by less than this share of it are worked out in doubles: singles are that far off.
 const UNSURE: f32 = 0.1;
@@ -75,7 +75,7 @@ impl<S: Coordinate> Ground<'_, S> {
     }
 
     /// Steps across the edge or the corner that the place is on, as long as that is nearer.
-    fn walk(&self, mut place: Place, point: [S; 3], normal: Vec3) -> Place {
+    pub fn walk(&self, mut place: Place, point: [S; 3], normal: Vec3) -> Place {
         for _ in 0..LONGEST_WALK {
             let face = self.mesh.faces[place.face as usize];
             let on = |i: usize| place.weights[i] != 0.0;
@@ -111,8 +111,8 @@ impl<S: Coordinate> Ground<'_, S> {
     }
 
     /// Whether a place is nearer than another by more than rounding. What is nearest to an edge is as near to both its
-    /// faces: the last bit must not choose between them, or a scan moved to where doubles round otherwise would be refitted
-    /// otherwise. Where single precision cannot tell, doubles are asked.
+    /// faces: the last bit must not choose between them, or a scan moved to where doubles round otherwise would be
+    /// refitted otherwise. Where single precision cannot tell, doubles are asked.
     #[inline(always)]
     fn is_nearer(&self, point: [S; 3], place: Place, best: Place) -> bool {
         place.distance_sq < best.distance_sq && {

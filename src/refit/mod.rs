@@ -1,25 +1,28 @@
 //! Refit: the reduced mesh's vertices move, and edges flip, to where the scan is.
 //!
-//! Quadrics measure distance to *planes*, deviation is distance to the *surface*. Once the count is right, each vertex can
-//! be put where the surface asks for it: samples of the scan find the faces that they are nearest to, and the vertices take the least-squares step towards them, as in Hoppe's
-//! mesh optimisation (the thesis's decoupled synthesis, §9.2). One round takes 15 to 30 % off E_avg. In core the samples are of
-//! a [`Reference`], which is what was left of the scan at ten times the target; out of core clustering has taken them from the
-//! scan itself ([`SurfaceSamples`]).
+//! Quadrics measure distance to *planes*, deviation is distance to the *surface*. Once the count is right, each vertex
+//! can be put where the surface asks for it: samples of the scan find the faces that they are nearest to, and the
+//! vertices take the least-squares step towards them, as in Hoppe's mesh optimisation (the thesis's decoupled
+//! synthesis, §9.2). One round takes 15 to 30 % off E_avg. In core the samples are of a [`Reference`], which is what
+//! was left of the scan at ten times the target; out of core clustering has taken them from the scan itself
+//! ([`SurfaceSamples`]).
 //!
 //! **A round.** `samples` → nearest faces, by a walk that starts where the collapse has put the sample's vertex
 //! (`ground`) → one block a face, a few steps of conjugate gradients (`system`) → steps that turn a face are halved
 //! until none does. From the second round on, edges flip first where that brings samples nearer (`flip`), and points of
 //! the result look for the reference too: faces that slide past the end of a thin part would else never be called back.
 //!
-//! **Promises.** No face turns by more than `LEAST_COSINE` allows in a round, none looks away from its samples; the count stays.
-//! Borders and what is not manifold stay where they are. The same mesh for any number of threads.
+//! **Promises.** No face turns by more than `LEAST_COSINE` allows in a round, none looks away from its samples; the
+//! count stays. Borders and what is not manifold stay where they are. The same mesh for any number of threads.
 //!
-//! **Memory.** The reference is 12 bytes a face and 16 a vertex, its samples 24 a face; the result takes [`BYTES_A_FACE`]. At a
-//! reference of [`LEAST_RATIO`] times the result that is 96 for each of its faces; the collapse before took 112. Samples of the
-//! scan are [`BYTES_A_SAMPLE`] each.
+//! **Memory.** The reference is 12 bytes a face and 16 a vertex, its samples 24 a face; the result takes
+//! [`BYTES_A_FACE`]. At a reference of [`LEAST_RATIO`] times the result that is 96 for each of its faces; the collapse
+//! before took 112. Samples of the scan are [`BYTES_A_SAMPLE`] each.
 
+mod around;
 mod flip;
 mod ground;
+mod lanes;
 mod samples;
 mod system;
 mod turned;
@@ -32,15 +35,18 @@ use crate::progress::{Progress, Stage};
 use flip::Wanted;
 use glam::Vec3;
 use ground::Ground;
+use lanes::{LANES, Triangles, Vec3x8};
 use rayon::prelude::*;
 use samples::{Evidence, Point, Samples, Scanned};
-use system::{Block, System};
+use system::{Block, System, Wishes};
 use turned::is_against;
+use wide::f32x8;
 
 /// No face, no vertex.
 const NONE: u32 = u32::MAX;
 
-/// Reference : result below which there is nothing to gain: fewer than nine samples a face would be followed into the noise.
+/// Reference : result below which there is nothing to gain: fewer than nine samples a face would be followed into the
+/// noise.
 pub const LEAST_RATIO: usize = 3;
 
 /// Samples of the scan for each face of the result. At 24 E_avg is 2 % more, at 10 9 %, at 5 a fifth; 48 gain
@@ -196,12 +202,7 @@ fn blocks<S: Coordinate>(
 ) -> Vec<Block> {
     let block = |f: usize| {
         let normal = ground.normal(f as u32);
-        let mut block = Block::new(normal.normalize_or_zero());
-        for &k in samples.of(f) {
-            let point = evidence.point(k);
-            let place = ground.on_face(point.at, f as u32);
-            block.add(point.normal.length(), place.weights, -place.step);
-        }
+        let mut block = ask(ground, evidence, samples, f);
         let Some(fine) = back else { return block };
         for weights in BACK {
             let point = Point::on(ground.mesh, f, weights);
@@ -214,6 +215,26 @@ fn blocks<S: Coordinate>(
         block
     };
     (0..ground.mesh.faces.len()).into_par_iter().with_min_len(64).map(block).collect()
+}
+
+/// What its samples ask of one face, eight of them at a time.
+fn ask<S: Coordinate>(ground: Ground<S>, evidence: &impl Evidence<S>, samples: &Samples, f: usize) -> Block {
+    let [a, b, c] = ground.mesh.faces[f].map(|v| ground.mesh.positions[v as usize]);
+    let (ab, ac) = (step(a, b), step(a, c));
+    let triangles = Triangles::new(Vec3x8::splat(ab), Vec3x8::splat(ac));
+    let mut wishes = Wishes::default();
+    for few in samples.of(f).chunks(LANES) {
+        let (mut axes, mut weights) = ([[0.0; LANES]; 3], [0.0; LANES]);
+        for (i, &k) in few.iter().enumerate() {
+            let point = evidence.point(k);
+            let at = step(a, point.at);
+            (0..3).for_each(|axis| axes[axis][i] = at[axis]);
+            weights[i] = point.normal.length();
+        }
+        let found = triangles.nearest(Vec3x8::from_axes(axes));
+        wishes.add(f32x8::from(weights), found.weights, found.step);
+    }
+    wishes.of_face(ab.cross(ac).normalize_or_zero())
 }
 
 /// Moves the vertices, as far as no face turns too far or over.

@@ -1,13 +1,14 @@
 //! Samples of what the result stands for, and the faces that they are nearest to.
 
 use super::NONE;
+use super::around::Around;
 use super::ground::{Ground, Place};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, step, widen};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Points of a face of the reference, by barycentric coordinates: exact for squared distances to a plane. At ten times the
-/// target that is 30 to a face of the result; its centroid alone loses 4 % of E_avg.
+/// Points of a face of the reference, by barycentric coordinates: exact for squared distances to a plane. At ten times
+/// the target that is 30 to a face of the result; its centroid alone loses 4 % of E_avg.
 pub(super) const POINTS: [[f32; 3]; 3] = [[A, B, B], [B, A, B], [B, B, A]];
 const A: f32 = 2.0 / 3.0;
 const B: f32 = 1.0 / 6.0;
@@ -124,14 +125,15 @@ impl Samples {
     pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, evidence: &impl Evidence<S>) {
         let at_first = self.faces.is_empty();
         self.faces.resize(evidence.count(), NONE);
-        self.faces.par_iter_mut().enumerate().with_min_len(1024).for_each(|(k, face)| {
+        let samples = self.faces.par_iter_mut().enumerate().with_min_len(4096);
+        samples.for_each_init(Around::new, |around, (k, face)| {
             let point = evidence.point(k as u32);
-            let place = if at_first {
-                evidence.near(k as u32).and_then(|v| ground.near_vertex(point.at, point.normal, v))
+            *face = if at_first {
+                evidence.near(k as u32).and_then(|v| around.near(ground, point.at, point.normal, v)).unwrap_or(NONE)
             } else {
-                (*face != NONE).then(|| ground.near_face(point.at, point.normal, *face)).flatten()
+                let near = |face| ground.near_face(point.at, point.normal, face).map_or(NONE, |place| place.face);
+                if *face == NONE { NONE } else { near(*face) }
             };
-            *face = place.map_or(NONE, |place| place.face);
         });
         self.sort(ground.mesh.faces.len());
     }

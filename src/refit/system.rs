@@ -1,15 +1,18 @@
 //! The least-squares system of one round: where the vertices should go.
 //!
-//! A sample at `s`, nearest to the place `Σ λᵢ xᵢ` on a face with unit normal `n`, asks that moving the face's vertices by
-//! `δᵢ` brings the place to it: `w·(n·(Σ λᵢ δᵢ − r))² + μ·w·|Σ λᵢ δᵢ − r|²`, `r` from the place to the sample. All samples of
-//! a face share `n`, so that a face adds up to one symmetric 3 × 3 matrix of weights and three right-hand sides, whatever
-//! their number; the system is applied face by face and never written out.
+//! A sample at `s`, nearest to the place `Σ λᵢ xᵢ` on a face with unit normal `n`, asks that moving the face's vertices
+//! by `δᵢ` brings the place to it: `w·(n·(Σ λᵢ δᵢ − r))² + μ·w·|Σ λᵢ δᵢ − r|²`, `r` from the place to the sample. All
+//! samples of a face share `n`, so that a face adds up to one symmetric 3 × 3 matrix of weights and three right-hand
+//! sides, whatever their number; the system is applied face by face and never written out.
 
+use super::lanes::{Vec3x8, sum};
 use crate::mesh::adjacency::{Stars, parts};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
+use wide::f32x8;
 
-/// Weight of the distance along the face against that across it: enough to hold the mesh together. 0.05 costs 2 % of E_avg,
+/// Weight of the distance along the face against that across it: enough to hold the mesh together. 0.05 costs 2 % of
+/// E_avg,
 /// 0.15 costs 6 %, 0.01 lets single vertices slide (E_max of the femur and the dragon rises by a tenth).
 const ALONG: f32 = 0.02;
 
@@ -31,11 +34,7 @@ pub(super) struct Block {
 }
 
 impl Block {
-    pub fn new(normal: Vec3) -> Self {
-        Block { normal, ..Default::default() }
-    }
-
-    /// Adds the wish of one sample: that the place at `lambda` moves by `step`.
+    /// Adds the wish of one more sample: that the place at `lambda` moves by `step`.
     #[inline(always)]
     pub fn add(&mut self, weight: f32, lambda: [f32; 3], step: Vec3) {
         let pull = weight * self.pull(step);
@@ -62,6 +61,37 @@ impl Block {
     #[inline(always)]
     fn weight(&self, i: usize, j: usize) -> f32 {
         self.weights[[[0, 1, 2], [1, 3, 4], [2, 4, 5]][i & 3][j & 3]]
+    }
+}
+
+/// What samples ask of one face, eight sums at a time.
+#[derive(Default)]
+pub(super) struct Wishes {
+    /// As [`Block::weights`].
+    weights: [f32x8; 6],
+    /// `Σ w λᵢ r`.
+    sides: [Vec3x8; 3],
+}
+
+impl Wishes {
+    /// Adds the wishes of eight samples: that the places at `lambda` move by `step`.
+    #[inline(always)]
+    pub fn add(&mut self, weight: f32x8, lambda: [f32x8; 3], step: Vec3x8) {
+        let [a, b, c] = lambda;
+        let weighted = lambda.map(|l| weight * l);
+        for (side, l) in self.sides.iter_mut().zip(weighted) {
+            *side = side.plus(l, step);
+        }
+        let [wa, wb, wc] = weighted;
+        for (sum, l) in self.weights.iter_mut().zip([wa * a, wa * b, wa * c, wb * b, wb * c, wc * c]) {
+            *sum += l;
+        }
+    }
+
+    /// All of them, of a face with unit normal `normal`.
+    pub fn of_face(&self, normal: Vec3) -> Block {
+        let block = Block { normal, weights: self.weights.map(sum), ..Block::default() };
+        Block { sides: self.sides.map(|side| block.pull(side.sum())), ..block }
     }
 }
 

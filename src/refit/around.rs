@@ -1,0 +1,114 @@
+//! The faces around a vertex, laid out so that a point is held against eight of them at a time.
+//!
+//! Samples of one vertex follow one another, and each begins with the same faces: their edges and normals are worked
+//! out once.
+
+use super::NONE;
+use super::ground::{Ground, ROUNDING};
+use super::lanes::{LANES, Triangles, Vec3x8};
+use crate::mesh::adjacency::{after, before, parts};
+use crate::mesh::{Coordinate, step};
+use glam::Vec3;
+use wide::f32x8;
+
+/// Vertices that are remembered.
+const STARS: usize = 16;
+
+/// Faces of a vertex that are laid out. Where there are more, these are few.
+const MOST: usize = 2 * LANES;
+
+/// Faces around vertices, one worker's.
+pub(super) struct Around(Box<[Star; STARS]>);
+
+/// The faces around one vertex, each with that vertex as its first corner.
+#[derive(Clone, Copy)]
+struct Star {
+    vertex: u32,
+    /// [`NONE`] where there is no further one.
+    faces: [u32; MOST],
+    /// The longest side's extent along an axis.
+    long: [f32; MOST],
+    triangles: [Triangles; MOST / LANES],
+    normals: [Vec3x8; MOST / LANES],
+}
+
+impl Around {
+    pub fn new() -> Self {
+        let star = Star {
+            vertex: NONE,
+            faces: [NONE; MOST],
+            long: [0.0; MOST],
+            triangles: Default::default(),
+            normals: Default::default(),
+        };
+        Around(Box::new([star; STARS]))
+    }
+
+    /// The face that is nearest to `point`, found from vertex `v` as [`Ground::near_vertex`] does.
+    #[inline(always)]
+    pub fn near<S: Coordinate>(&mut self, ground: Ground<S>, point: [S; 3], normal: Vec3, v: u32) -> Option<u32> {
+        // In doubles, what single precision cannot tell apart is worked out exactly, which is done one by one.
+        if S::DOUBLE || ground.stars.of(v).len() > MOST {
+            return ground.near_vertex(point, normal, v).map(|place| place.face);
+        }
+        let star = &mut self.0[v as usize % STARS];
+        if star.vertex != v {
+            star.lay_out(ground, v);
+        }
+        let (face, is_beyond) = star.nearest(step(ground.mesh.positions[v as usize], point), normal)?;
+        // A place at the vertex, or on an edge that it is an end of, has been held against all that it belongs to.
+        if is_beyond { Some(ground.walk(ground.on_face(point, face), point, normal).face) } else { Some(face) }
+    }
+}
+
+impl Star {
+    #[inline(never)]
+    fn lay_out<S: Coordinate>(&mut self, ground: Ground<S>, v: u32) {
+        self.vertex = v;
+        self.faces = [NONE; MOST];
+        let at = ground.mesh.positions[v as usize];
+        let (mut ab, mut ac, mut normals) = ([[[0.0; LANES]; 3]; 2], [[[0.0; LANES]; 3]; 2], [[[0.0; LANES]; 3]; 2]);
+        for (i, &corner) in ground.stars.of(v).iter().take(MOST).enumerate() {
+            let (f, side) = parts(corner);
+            let face = ground.mesh.faces[f];
+            let to = |side: usize| step(at, ground.mesh.positions[face[side] as usize]);
+            let (b, c) = (to(after(side)), to(before(side)));
+            self.faces[i] = f as u32;
+            self.long[i] = b.abs().max(c.abs()).max_element();
+            for (lanes, x) in [(&mut ab, b), (&mut ac, c), (&mut normals, b.cross(c))] {
+                (0..3).for_each(|axis| lanes[i / LANES][axis][i % LANES] = x[axis]);
+            }
+        }
+        for (half, (triangles, normal)) in self.triangles.iter_mut().zip(&mut self.normals).enumerate() {
+            *triangles = Triangles::new(Vec3x8::from_axes(ab[half]), Vec3x8::from_axes(ac[half]));
+            *normal = Vec3x8::from_axes(normals[half]);
+        }
+    }
+
+    /// The face nearest to a point about the vertex, among those that look the same way as `normal`: the first of those
+    /// between which only rounding decides. And whether the nearest place is on the far side of it.
+    #[inline(always)]
+    fn nearest(&self, point: Vec3, normal: Vec3) -> Option<(u32, bool)> {
+        let (p, n) = (Vec3x8::splat(point), Vec3x8::splat(normal));
+        let mut best: Option<(u32, bool)> = None;
+        // What the next one has to be below.
+        let mut bar_sq = f32::INFINITY;
+        for half in 0..MOST / LANES {
+            if self.faces[half * LANES] == NONE {
+                break;
+            }
+            let found = self.triangles[half].nearest(p);
+            let distances_sq = found.step.dot(found.step).to_array();
+            let alike = self.normals[half].dot(n).to_array();
+            let beyond = found.weights[0].simd_eq(f32x8::ZERO).to_bitmask();
+            for (i, (&distance_sq, &alike)) in distances_sq.iter().zip(&alike).enumerate() {
+                if distance_sq < bar_sq && alike > 0.0 {
+                    let distance = distance_sq.sqrt() - ROUNDING * self.long[half * LANES + i];
+                    bar_sq = if distance > 0.0 { distance * distance } else { 0.0 };
+                    best = Some((self.faces[half * LANES + i], beyond >> i & 1 == 1));
+                }
+            }
+        }
+        best
+    }
+}
