@@ -207,6 +207,9 @@ impl Run<'_> {
         warnings.extend(collapsed.seams_gave_way.then_some(Warning::SeamsGaveWay));
         let voted = self.voted(out.format(), outfit.as_ref(), &mesh, frame)?;
         let (wanted, lost) = self.columns(out.format(), outfit.as_ref(), &voted);
+        if outfit.is_none() && self.left_seams_out(out.format(), &lost) {
+            warnings.push(Warning::SeamsLeftOut { needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
+        }
         if !lost.is_empty() {
             warnings.push(Warning::NotCarried { names: lost });
         }

@@ -78,7 +78,7 @@ impl Run<'_> {
     ) -> Result<(Option<Carried>, Option<Outfit<S>>)> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         let policies = &self.job.policies;
-        let worn = if self.job.carry { put_on(self.scan, mesh, frame, &crew)? } else { None };
+        let worn = if self.job.carry { put_on(self.scan, mesh, frame, asked, &crew)? } else { None };
         if self.steering().is_empty() && worn.is_none() {
             return Ok((None, None));
         }
@@ -228,6 +228,30 @@ impl Run<'_> {
             lost.extend(textures.filter(|texture| !kept(texture)).map(|texture| texture.name.clone()));
         }
         (wanted, lost)
+    }
+
+    /// Whether any of what was lost breaks off at seams, and would be there in core.
+    pub(super) fn left_seams_out(&self, format: write::Format, lost: &[String]) -> bool {
+        const OF_CORNERS: [&str; 16] = [
+            "vt",
+            "vn",
+            "TEXCOORD_0",
+            "NORMAL",
+            "texcoord",
+            "s",
+            "t",
+            "u",
+            "v",
+            "texture_u",
+            "texture_v",
+            "tx",
+            "ty",
+            "usemtl",
+            "material",
+            "TextureFile",
+        ];
+        let held = format != write::Format::Stl && self.scan.has_coat();
+        held && lost.iter().any(|name| OF_CORNERS.contains(&name.as_str()))
     }
 
     /// The loaded scan, ready to be collapsed.
