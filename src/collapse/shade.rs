@@ -162,7 +162,7 @@ impl<S: Coordinate> Surface<S> {
                 }
                 // Extrapolated, a number may leave what there is: by no more than what the merged ones differ.
                 let slack = most - least;
-                *number = kept::<S>(sum.best(i, DVec3::ZERO).clamp(least - slack, most + slack) as f32);
+                *number = sum.best(i, DVec3::ZERO).clamp(least - slack, most + slack) as f32;
             }
             (key, numbers)
         });
@@ -183,20 +183,6 @@ impl<S: Coordinate> Surface<S> {
         let both = wa + wb;
         if both > 0.0 { RANKED * square * wa * wb / both } else { 0.0 }
     }
-}
-
-/// Bits of a number that are dropped in doubles.
-const DROPPED: u32 = 12;
-
-/// A number of a merged vertex to as many bits as anybody sees. A scan in doubles that was moved far away has other last
-/// bits; as they are, floats would turn a billionth into a whole last bit of theirs, and all costs after it.
-#[inline]
-fn kept<S: Coordinate>(x: f32) -> f32 {
-    if S::DOUBLE && x.is_finite() {
-        let bits = x.to_bits() + (1 << (DROPPED - 1));
-        return f32::from_bits(bits >> DROPPED << DROPPED);
-    }
-    x
 }
 
 /// What a difference counts where edges are ranked, against what it costs.
