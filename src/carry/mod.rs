@@ -8,8 +8,9 @@
 //!
 //! The scan is streamed, at most [`SAMPLES`] of its vertices for each of the result's, so this works for a scan of any size
 //! and on the result of clustering too. [`shades`] gives
-//! the collapse the colours of a scan that fits the budget, to steer by, [`mean_shades`] those of a clustered one; every other
-//! number is carried as well as the mesh that shape asks for can show it. What corners and faces carry is in `coat`.
+//! the collapse the colours and normals of a scan that fits the budget, to steer by, [`mean_shades`] those of a clustered one; every other
+//! number is carried as well as the mesh that shape asks for can show it. What corners and faces carry is in `coat`, and in
+//! `votes` where it has no borders to hold.
 //!
 //! **Memory** ([`bytes`]): beside the result, its tree, 36 bytes a face and 8 a vertex and column in hand; columns are
 //! taken [`BATCH`] at a time. Sums are of integers, so threads change nothing.

@@ -164,7 +164,7 @@ impl<S: Coordinate> Poll<'_, S> {
         let [a, b, c] = facet.corners;
         let normal = (b - a).cross(c - a);
         let area = 0.5 * normal.length();
-        if !self.pick.takes(triangle) || !(area > 0.0 && area.is_finite()) {
+        if !(self.pick.takes(triangle) && area > 0.0 && area.is_finite()) {
             return Ok(());
         }
         (self.near, _) = self.tree.search((a + b + c) / 3.0, self.near);
