@@ -35,20 +35,17 @@ fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, locks: bool
             return;
         }
         let mut least = (u64::MAX, NONE);
-        let mut look = |u: u32| {
-            if is_locked(u) {
-                return;
-            }
-            let cost = surface.rank(v, u);
-            let key = u64::from(cost.to_bits()) << 32 | u64::from(hash(v.min(u), v.max(u)));
-            least = if key < least.0 { (key, u) } else { least };
-        };
-        let odd = surface.odd(v);
-        for &corner in surface.stars.of(v) {
-            let (p, q) = surface.ends(corner);
-            look(p);
-            if odd {
-                look(q);
+        // Where faces agree, each neighbour comes first in one of them. The body is there once, so that it stays a loop.
+        for way in 0..=usize::from(surface.odd(v)) {
+            for &corner in surface.stars.of(v) {
+                let (p, q) = surface.ends(corner);
+                let u = if way == 0 { p } else { q };
+                if is_locked(u) {
+                    continue;
+                }
+                let cost = surface.rank(v, u);
+                let key = u64::from(cost.to_bits()) << 32 | u64::from(hash(v.min(u), v.max(u)));
+                least = if key < least.0 { (key, u) } else { least };
             }
         }
         // All around are locked.
