@@ -96,7 +96,7 @@ fn labels_are_elected_where_the_scan_does_not_fit() {
     let folder = Folder::new();
     // Between the two labels a third one is sprinkled, which nowhere has a majority.
     let label = |x: f64| if x < 0.1 { 7 } else { 40_000 };
-    let words = |f: usize, [x, ..]: [f64; 3]| if f % 5 == 0 { "1".into() } else { label(x).to_string() };
+    let words = |f: usize, [x, ..]: [f64; 3]| if f.is_multiple_of(5) { "1".into() } else { label(x).to_string() };
     for (name, mesh) in [("scan.ply", torus(320, 200)), ("shuffled.ply", torus(320, 200).with_shuffled_faces())] {
         folder.file(name, with_faces(&mesh, "property ushort kind\n", words));
         let (report, text) = reduce(&folder, name, &["--faces", "2000", "--memory", TIGHT]);
