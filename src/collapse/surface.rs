@@ -409,10 +409,6 @@ const STEP: f64 = 1.0 / (1 << 24) as f64;
 /// again that differ in the last bits of their doubles, by edges that are no ties.
 const DROPPED: u32 = 8;
 
-/// Where costs are rounded up: not in the middle, since costs of few bits, which scans on a grid are full of, are in the
-/// middle exactly, and whatever moves their last bit sends them up or down.
-const OFF_CENTRE: u32 = 98;
-
 /// A cost without what is below rounding, of at most `most`. Edges that are alike then cost the same, wherever the scan lies;
 /// which of them goes first is left to their hash.
 #[inline(always)]
@@ -425,7 +421,7 @@ fn above_rounding(cost: f64, most: f64) -> f64 {
 #[inline(always)]
 pub(super) fn settled<S: Coordinate>(cost: f32) -> f32 {
     match S::DOUBLE {
-        true => f32::from_bits((cost.to_bits() + OFF_CENTRE) >> DROPPED << DROPPED),
+        true => f32::from_bits((cost.to_bits() + (1 << (DROPPED - 1))) >> DROPPED << DROPPED),
         false => cost,
     }
 }
