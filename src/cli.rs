@@ -187,6 +187,10 @@ struct CollapseArgs {
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     texture_weight: Option<Weight>,
 
+    /// How much normals steer: 0 for not at all [default: 1]
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    normal_weight: Option<Weight>,
+
     /// simplify: holes close, handles and pieces vanish; preserve: they stay [default: simplify]
     #[arg(long, value_name = "WHAT", value_parser = word::<Topology>)]
     topology: Option<Topology>,
@@ -561,6 +565,7 @@ impl From<CollapseArgs> for CollapseTable {
             valence_penalty: args.valence_penalty,
             colour_weight: args.colour_weight,
             texture_weight: args.texture_weight,
+            normal_weight: args.normal_weight,
             topology: args.topology,
             pair_distance: args.pair_distance,
             primitive: args.primitive,

@@ -81,11 +81,16 @@ fn ask(job: &Job, scan: &Scan, asked: Option<u64>) -> Ask {
         target,
         refit_rounds: job.refit_rounds,
         tail_bytes: collapse::tail_bytes(target, &job.policies),
-        shade_bytes: if steering(job, scan).is_some() { 3 * collapse::SHADE_BYTES } else { 0 },
+        shade_bytes: if job.carry { shade_bytes(&job.policies, scan) } else { 0 },
         coat_bytes: if job.carry { coat_bytes(scan) } else { 0 },
         carry_bytes: if job.carry { carry_bytes(scan, target) } else { 0 },
         is_chain: !job.coarser.is_empty(),
     }
+}
+
+/// Bytes a vertex that what steers takes.
+fn shade_bytes(policies: &collapse::Policies, scan: &Scan) -> u64 {
+    steering(policies, scan).len() as u64 * collapse::SHADE_BYTES
 }
 
 /// What carrying over all that the vertices of a scan carry takes.
@@ -109,7 +114,7 @@ fn coat_bytes(scan: &Scan) -> u64 {
     }
     let vertices = scan.vertex_count().max(1);
     let wedges = scan.coat_values().max(vertices);
-    let steering = 5 * collapse::SHADE_BYTES * wedges;
+    let steering = 8 * collapse::SHADE_BYTES * wedges;
     (carry::coat_bytes(scan.triangle_count(), wedges, vertices) + steering).div_ceil(vertices)
 }
 
@@ -200,7 +205,11 @@ impl Run<'_> {
             warnings.push(Warning::StlLosesDoubles { vertices: mesh.positions.len() as u64 });
         }
         warnings.extend(collapsed.seams_gave_way.then_some(Warning::SeamsGaveWay));
-        let (wanted, lost) = self.columns(out.format(), outfit.as_ref());
+        let voted = self.voted(out.format(), outfit.as_ref(), &mesh, frame)?;
+        let (wanted, lost) = self.columns(out.format(), outfit.as_ref(), &voted);
+        if outfit.is_none() && self.left_seams_out(out.format(), &lost) {
+            warnings.push(Warning::SeamsLeftOut { needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
+        }
         if !lost.is_empty() {
             warnings.push(Warning::NotCarried { names: lost });
         }
@@ -210,8 +219,10 @@ impl Run<'_> {
         let vertices =
             dressed.as_ref().map_or(mesh.positions.len(), |d| d.vertices(out.format(), mesh.positions.len()));
         let output = mesh_file(&self.job.output, mesh.faces.len(), vertices);
-        out.write_carrying(&mesh, frame, &carried, dressed.as_ref().map(|d| d.clothes()), self.progress)?;
-        drop(dressed);
+        let clothes = dressed.as_ref().map(|d| d.clothes());
+        let load = write::Load { vertices: &carried, faces: &voted, clothes };
+        out.write_carrying(&mesh, frame, load, self.progress)?;
+        drop((dressed, voted));
         seconds.write = clock.lap();
         let (mode, cells, ratio) = match &source {
             Source::Loaded(_) => (Mode::InCore, None, None),

@@ -8,29 +8,29 @@
 //!
 //! The scan is streamed, at most [`SAMPLES`] of its vertices for each of the result's, so this works for a scan of any size
 //! and on the result of clustering too. [`shades`] gives
-//! the collapse the colours of a scan that fits the budget, to steer by, [`mean_shades`] those of a clustered one; every other
-//! number is carried as well as the mesh that shape asks for can show it. What corners and faces carry is in `coat`.
+//! the collapse the colours and normals of a scan that fits the budget, to steer by, [`mean_shades`] those of a clustered one; every other
+//! number is carried as well as the mesh that shape asks for can show it. What corners and faces carry is in `coat`, and in
+//! `votes` where it has no borders to hold.
 //!
 //! **Memory** ([`bytes`]): beside the result, its tree, 36 bytes a face and 8 a vertex and column in hand; columns are
 //! taken [`BATCH`] at a time. Sums are of integers, so threads change nothing.
 
 mod coat;
 mod solve;
+mod steer;
+mod votes;
 
 pub use coat::{Worn, bytes as coat_bytes, put_on};
+pub use steer::{Steer, mean_shades, range_length, shades};
+pub use votes::{least_position_bytes, vote, votes_bytes};
 
 use crate::error::Result;
-use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::columns::{Column, Columns, Meaning};
-use crate::mesh::{
-    BATCH as BATCH_OF_PLACES, Coordinate, Extent, Frame, IndexedMesh, PositionTable, Shades, Tree, narrow, widen,
-};
+use crate::mesh::{BATCH as BATCH_OF_PLACES, Coordinate, Frame, IndexedMesh, PositionTable, Tree, narrow, widen};
 use crate::progress::Stage;
 use crate::read::{Crew, Scan};
 use glam::DVec3;
 use solve::System;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::sync::{Mutex, PoisonError};
 
 /// Vertices of the scan for each of the result's, at most about: more hardly change a value.
 pub const SAMPLES: u64 = 40;
@@ -75,52 +75,6 @@ pub fn carry<S: Coordinate>(
     Ok(carried)
 }
 
-/// What a full range counts where it weighs 1: so many times the square of an edge of the result over the scan's
-/// diagonal, since that is how deviation grows with edges on what is smooth.
-const RANGE_LENGTH: f64 = 8.0;
-
-/// And so many times the scan's noise, which no result comes nearer than: without, colours of a scanner's mesh have no say
-/// at all. At most the faces that one of the result stands for, since what looks like noise may be fine shape.
-const NOISE_LENGTH: f64 = 16.0;
-
-/// Faces that are asked how far the next one is from their plane.
-const ASKED_FOR_NOISE: usize = 20_000;
-
-/// What the full range of a number that steers is worth as a length in the frame, at a weight of 1.
-pub fn range_length<S: Coordinate>(mesh: &IndexedMesh<S>, asked: Option<u64>) -> f64 {
-    let area = |face: &[u32; 3]| {
-        let [a, b, c] = face.map(|v| mesh.at(v));
-        0.5 * (b - a).cross(c - a).length()
-    };
-    let count = mesh.faces.len().max(1) as f64;
-    let faces = (asked.unwrap_or(0) as f64).max(count / 50.0).max(1.0);
-    let area = mesh.faces.iter().map(area).sum::<f64>();
-    let mut extent = Extent::default();
-    (0..mesh.positions.len() as u32).for_each(|v| extent.include(mesh.at(v)));
-    let smooth = |faces: f64| RANGE_LENGTH * area / faces / extent.diagonal();
-    smooth(faces) + NOISE_LENGTH.min(count / faces) * (roughness(mesh) - smooth(count)).max(0.0)
-}
-
-/// How far a face's neighbours reach from its plane, on average.
-fn roughness<S: Coordinate>(mesh: &IndexedMesh<S>) -> f64 {
-    let mut stars = Stars::default();
-    stars.rebuild(&mesh.faces, mesh.positions.len());
-    let (mut sum, mut count) = (0.0, 0.0);
-    for f in (0..mesh.faces.len()).step_by(mesh.faces.len().div_ceil(ASKED_FOR_NOISE).max(1)) {
-        let [a, b, c] = mesh.faces[f];
-        let at = mesh.at(a);
-        let Some(normal) = (mesh.at(b) - at).cross(mesh.at(c) - at).try_normalize() else { continue };
-        for (u, v) in [(a, b), (b, c), (c, a)] {
-            let mut others = stars.of(u).iter().map(|&corner| parts(corner).0).filter(|g| *g != f);
-            let Some(g) = others.find(|g| mesh.faces[*g].contains(&v)) else { continue };
-            let Some(w) = mesh.faces[g].into_iter().find(|w| *w != u && *w != v) else { continue };
-            sum += (mesh.at(w) - at).dot(normal).abs();
-            count += 1.0;
-        }
-    }
-    if count > 0.0 { sum / count } else { 0.0 }
-}
-
 /// Where the vertices of a loaded scan are, by their positions.
 struct Places<'m, S> {
     mesh: &'m IndexedMesh<S>,
@@ -147,96 +101,6 @@ impl<'m, S: Coordinate> Places<'m, S> {
         self.table.find(&p, at, &self.mesh.positions)
     }
 }
-
-/// The colours of a loaded scan's vertices for the collapse, full brightness as `length`: `colour` are the columns. A vertex
-/// takes them from the first one of the file at its place.
-pub fn shades<S: Coordinate>(
-    scan: &Scan,
-    colour: [usize; 3],
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
-    length: f64,
-    crew: &Crew<'_>,
-) -> Result<Shades> {
-    let places = Places::of(mesh, frame);
-    let columns = colour.map(|c| &scan.columns()[c]);
-    let mut shades = vec![f32::NAN; 3 * mesh.positions.len()];
-    let crew = Crew { workers: 1, ..*crew };
-    let all = Mutex::new(&mut shades);
-    scan.carried(
-        &crew,
-        || (),
-        |(), chunk| {
-            let mut shades = all.lock().unwrap_or_else(PoisonError::into_inner);
-            for (p, values) in chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns)) {
-                let Some(vertex) = places.find(*p) else { continue };
-                let shade = &mut shades[3 * vertex as usize..][..3];
-                if shade[0].is_nan() {
-                    let part = |i: usize| (length * columns[i].brightness(values[colour[i]])) as f32;
-                    shade.copy_from_slice(&[part(0), part(1), part(2)]);
-                }
-            }
-            Ok(())
-        },
-    )?;
-    // What has no colour, or none that is a number, is black.
-    shades.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
-    Ok(Shades { dims: 3, values: shades })
-}
-
-/// The same for what clustering has made of a scan: each vertex takes the mean of the scan's vertices next to it.
-pub fn mean_shades<S: Coordinate>(
-    scan: &Scan,
-    colour: [usize; 3],
-    mesh: &IndexedMesh<S>,
-    frame: Frame,
-    length: f64,
-    crew: &Crew<'_>,
-) -> Result<Shades> {
-    let columns = colour.map(|c| &scan.columns()[c]);
-    let pick =
-        Pick { stride: scan.vertex_count().div_ceil(SAMPLES_TO_STEER * (mesh.positions.len() as u64).max(1)).max(1) };
-    crew.progress.begin(Stage::Carry, scan.bytes());
-    let sums: Vec<[AtomicU64; 4]> = mesh.positions.iter().map(|_| Default::default()).collect();
-    let tree = Tree::build(mesh);
-    scan.carried(
-        crew,
-        || 0,
-        |near, chunk| {
-            let vertices = chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns));
-            for (vertex, (p, values)) in (chunk.first..).zip(vertices) {
-                let p = DVec3::from_array(*p).map(|x| frame.to_frame(x));
-                if !pick.takes(vertex) || !p.is_finite() || colour.iter().any(|c| !values[*c].is_finite()) {
-                    continue;
-                }
-                (*near, _) = tree.search(p, *near);
-                let [a, b, c] = mesh.faces[*near as usize];
-                let nearer = |a: u32, b: u32| {
-                    let off = |v: u32| mesh.at(v).distance_squared(p);
-                    if off(b) < off(a) { b } else { a }
-                };
-                let sum = &sums[nearer(nearer(a, b), c) as usize];
-                sum[3].fetch_add(1, Relaxed);
-                for (sum, (c, column)) in sum.iter().zip(colour.iter().zip(columns)) {
-                    sum.fetch_add((FULL * column.brightness(values[*c])).round() as u64, Relaxed);
-                }
-            }
-            Ok(())
-        },
-    )?;
-    drop(tree);
-    let mean = |sum: [AtomicU64; 4]| {
-        let [r, g, b, n] = sum.map(AtomicU64::into_inner);
-        [r, g, b].map(|x| (length * x as f64 / (FULL * n.max(1) as f64)) as f32)
-    };
-    Ok(Shades { dims: 3, values: sums.into_iter().flat_map(mean).collect() })
-}
-
-/// Vertices of the scan for each of a clustered one's that are asked what colour steers.
-const SAMPLES_TO_STEER: u64 = 8;
-
-/// Full brightness in sums.
-const FULL: f64 = 65_535.0;
 
 /// Which vertices of the scan are asked: a share that no regularity of the scan can fall into step with.
 #[derive(Clone, Copy)]

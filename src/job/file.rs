@@ -147,6 +147,9 @@ pub struct CollapseTable {
     /// How much texture coordinates steer.
     #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
     pub texture_weight: Option<Weight>,
+    /// How much normals steer.
+    #[serde(default, deserialize_with = "as_written", skip_serializing_if = "Option::is_none")]
+    pub normal_weight: Option<Weight>,
     /// Whether holes may close, handles vanish, pieces go.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub topology: Option<Topology>,
@@ -205,6 +208,7 @@ const KEYS: [(&str, &[&str]); 7] = [
             "valence_penalty",
             "colour_weight",
             "texture_weight",
+            "normal_weight",
             "topology",
             "pair_distance",
             "primitive",
@@ -278,7 +282,7 @@ layered!(RefitTable: rounds);
 layered!(ReportTable: json, verify, samples);
 layered!(CollapseTable: quadrics, placement, weighting, boundary_weight, lock_border, lock_vertices, feature_angle,
     feature_weight, min_component, fold_check, compactness, valence_penalty, topology, pair_distance,
-    primitive, colour_weight, texture_weight);
+    primitive, colour_weight, texture_weight, normal_weight);
 
 /// What was likely meant by an unknown word, from the parser's message: the wrong word in backticks, then the right ones.
 fn hint(message: &str) -> Option<String> {

@@ -1,6 +1,9 @@
 //! What a surface has beside its shape: numbers at the corners of faces, materials, groups.
 
 use super::columns::{Column, Columns, Number};
+use std::fs::File;
+use std::path::PathBuf;
+use std::sync::Arc;
 
 /// What faces belong to.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
@@ -11,6 +14,60 @@ pub struct Patch {
     pub group: Option<u32>,
     /// What else its faces carry, one number of each of [`Coat::face_columns`], as bits of doubles.
     pub labels: Vec<u64>,
+}
+
+/// What a material looks like.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Look {
+    /// Its colour, as screens show it.
+    pub colour: [f64; 3],
+    /// How opaque it is.
+    pub alpha: f64,
+    /// The number of its texture.
+    pub picture: Option<usize>,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Look { colour: [1.0; 3], alpha: 1.0, picture: None }
+    }
+}
+
+/// A texture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The name of its file, or one that is good for a file.
+    pub name: String,
+    /// Where its bytes are.
+    pub place: Bytes,
+}
+
+/// Where some bytes are.
+#[derive(Debug, Clone)]
+pub enum Bytes {
+    /// All of a file.
+    File(PathBuf),
+    /// A part of one that is open.
+    Part {
+        /// The file.
+        file: Arc<File>,
+        /// Where they begin.
+        offset: u64,
+        /// How many they are.
+        length: u64,
+    },
+}
+
+impl PartialEq for Bytes {
+    fn eq(&self, other: &Bytes) -> bool {
+        match (self, other) {
+            (Bytes::File(a), Bytes::File(b)) => a == b,
+            (Bytes::Part { file: a, offset: i, length: m }, Bytes::Part { file: b, offset: j, length: n }) => {
+                Arc::ptr_eq(a, b) && (i, m) == (j, n)
+            }
+            _ => false,
+        }
+    }
 }
 
 /// Names and values that corners and faces refer to.
@@ -26,17 +83,21 @@ pub struct Coat {
     pub materials: Vec<String>,
     /// Names of groups; of objects with `o ` before them.
     pub groups: Vec<String>,
+    /// What materials look like: none, where `libraries` say it, or one for each.
+    pub looks: Vec<Look>,
+    /// Textures that `looks` have.
+    pub pictures: Vec<Picture>,
+    /// Textures that are named and cannot be had.
+    pub lost: Vec<String>,
     /// Files that materials are in, as they are named.
     pub libraries: Vec<String>,
     /// Numbers of faces.
     pub face_columns: Vec<Column>,
 }
 
-impl Coat {
-    /// Whether the one number of its faces fits the two bytes that STL has for each.
-    pub fn is_spare(&self) -> bool {
-        matches!(&self.face_columns[..], [c] if matches!(c.number, Number::U8 | Number::U16))
-    }
+/// Whether what faces carry is one number that fits the two bytes that STL has for each.
+pub fn is_spare(of_faces: &[Column]) -> bool {
+    matches!(of_faces, [c] if matches!(c.number, Number::U8 | Number::U16))
 }
 
 /// A mesh's coat: its vertices split where they lie on seams.

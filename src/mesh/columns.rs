@@ -61,6 +61,24 @@ impl Number {
         }
     }
 
+    /// The number that little-endian bytes begin with, which are as many as it has.
+    #[inline]
+    pub fn get(self, bytes: &[u8]) -> f64 {
+        fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+            bytes.first_chunk().copied().unwrap_or([0; N])
+        }
+        match self {
+            Number::I8 => f64::from(i8::from_le_bytes(first(bytes))),
+            Number::U8 => f64::from(u8::from_le_bytes(first(bytes))),
+            Number::I16 => f64::from(i16::from_le_bytes(first(bytes))),
+            Number::U16 => f64::from(u16::from_le_bytes(first(bytes))),
+            Number::I32 => f64::from(i32::from_le_bytes(first(bytes))),
+            Number::U32 => f64::from(u32::from_le_bytes(first(bytes))),
+            Number::F32 => f64::from(f32::from_le_bytes(first(bytes))),
+            Number::F64 => f64::from_le_bytes(first(bytes)),
+        }
+    }
+
     /// Appends `x` in little-endian bytes; what an integer cannot hold is clamped to what it can.
     #[inline]
     pub fn put(self, x: f64, out: &mut Vec<u8>) {
@@ -130,7 +148,12 @@ pub struct Columns {
 impl Column {
     /// The share of full brightness that a part of a colour stands for.
     pub fn brightness(&self, value: f64) -> f64 {
-        let full = match self.number {
+        (value / self.full()).clamp(0.0, 1.0)
+    }
+
+    /// What stands for full brightness, or for one.
+    pub fn full(&self) -> f64 {
+        match self.number {
             Number::I8 => f64::from(i8::MAX),
             Number::U8 => f64::from(u8::MAX),
             Number::I16 => f64::from(i16::MAX),
@@ -138,8 +161,7 @@ impl Column {
             Number::I32 => f64::from(i32::MAX),
             Number::U32 => f64::from(u32::MAX),
             Number::F32 | Number::F64 => 1.0,
-        };
-        (value / full).clamp(0.0, 1.0)
+        }
     }
 }
 

@@ -1,21 +1,23 @@
 //! What corners and faces of the scan carry, on its way to the result.
 
 use super::{Intermediate, Run};
-use crate::carry::{Worn, mean_shades, put_on, range_length, shades};
-use crate::collapse::Carried;
+use crate::carry::{Steer, Worn, least_position_bytes, mean_shades, put_on, range_length, shades, vote, votes_bytes};
+use crate::collapse::{Carried, Policies};
 use crate::error::Result;
-use crate::job::Job;
 use crate::mesh::coat::Dress;
-use crate::mesh::columns::{self, Meaning};
+use crate::mesh::columns::{self, Column, Columns, Meaning};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, Shades, Wedges};
 use crate::read::{Crew, Scan};
 use crate::write::{self, Clothes, Wardrobe};
 use std::path::Path;
 
-/// Columns of the colour that is to steer, if one is.
-pub(super) fn steering(job: &Job, scan: &Scan) -> Option<[usize; 3]> {
-    let steers = job.carry && job.policies.colour_weight > 0.0;
-    steers.then(|| columns::find(scan.columns(), Meaning::Colour)).flatten()
+/// Columns of vertices that steer: of the colour and of the normal, if they are there and have any weight.
+pub(super) fn steering(policies: &Policies, scan: &Scan) -> Vec<usize> {
+    let find = |weight: f64, part: fn(usize) -> Meaning| {
+        (weight > 0.0).then(|| columns::find::<3>(scan.columns(), part)).flatten()
+    };
+    let found = [find(policies.colour_weight, Meaning::Colour), find(policies.normal_weight, Meaning::Normal)];
+    found.into_iter().flatten().flatten().collect()
 }
 
 /// What a scan wears while it is reduced.
@@ -24,6 +26,13 @@ pub(super) struct Outfit<S> {
     pub(super) wardrobe: Wardrobe,
     /// Files that its materials name, and that are not there.
     missing: Vec<String>,
+}
+
+impl<S: Coordinate> Outfit<S> {
+    /// Whether a format says what it is made of.
+    fn has_textures_in(&self, format: write::Format) -> bool {
+        format.holds_materials() || format.is_ply() && self.wardrobe.as_ply(&self.worn.coat).is_some()
+    }
 }
 
 /// What a finished mesh wears.
@@ -47,6 +56,19 @@ impl Dressed<'_> {
 }
 
 impl Run<'_> {
+    fn steering(&self) -> Vec<usize> {
+        if self.job.carry { steering(&self.job.policies, self.scan) } else { Vec::new() }
+    }
+
+    /// What steers, where the full range of what has a weight of 1 is worth this length.
+    fn steers(&self, length: f64) -> Vec<Steer> {
+        let weight = |column: usize| match self.scan.columns()[column].meaning {
+            Meaning::Normal(_) => self.job.policies.normal_weight,
+            _ => self.job.policies.colour_weight,
+        };
+        self.steering().into_iter().map(|column| Steer { column, length: weight(column) * length }).collect()
+    }
+
     /// What a loaded scan carries into the collapse, and what it wears.
     pub(super) fn outfitted<S: Coordinate>(
         &self,
@@ -56,19 +78,19 @@ impl Run<'_> {
     ) -> Result<(Option<Carried>, Option<Outfit<S>>)> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         let policies = &self.job.policies;
-        let worn = if self.job.carry { put_on(self.scan, mesh, frame, &crew)? } else { None };
-        let colour = steering(self.job, self.scan);
-        if colour.is_none() && worn.is_none() {
+        let worn = if self.job.carry { put_on(self.scan, mesh, frame, asked, &crew)? } else { None };
+        if self.steering().is_empty() && worn.is_none() {
             return Ok((None, None));
         }
         let length = range_length(mesh, asked);
         let mut carried = Carried::default();
-        if let Some(colour) = colour {
-            let length = policies.colour_weight * length;
-            carried.shades = shades(self.scan, colour, mesh, frame, length, &crew)?;
+        let steers = self.steers(length);
+        if !steers.is_empty() {
+            carried.shades = shades(self.scan, &steers, mesh, frame, &crew)?;
         }
         let Some((worn, wedges)) = worn else { return Ok((Some(carried), None)) };
-        carried.shades = worn.shades(&wedges, &mesh.faces, &carried.shades, policies.texture_weight * length);
+        let lengths = [policies.texture_weight, policies.normal_weight].map(|weight| weight * length);
+        carried.shades = worn.shades(&wedges, &mesh.faces, &carried.shades, lengths);
         carried.wedges = wedges;
         let (wardrobe, missing) = Wardrobe::of(&worn.coat, self.scan.path());
         Ok((Some(carried), Some(Outfit { worn, wardrobe, missing })))
@@ -97,10 +119,11 @@ impl Run<'_> {
         frame: Frame,
         asked: Option<u64>,
     ) -> Result<Shades> {
-        let Some(colour) = steering(self.job, self.scan) else { return Ok(Shades::default()) };
+        if self.steering().is_empty() {
+            return Ok(Shades::default());
+        }
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
-        let length = self.job.policies.colour_weight * range_length(mesh, asked);
-        mean_shades(self.scan, colour, mesh, frame, length, &crew)
+        mean_shades(self.scan, &self.steers(range_length(mesh, asked)), mesh, frame, &crew)
     }
 
     /// What the result wears, in a format that holds any of it.
@@ -118,11 +141,42 @@ impl Run<'_> {
         Ok(Some(Dressed { dress, coat: &worn.coat, wardrobe, scan: self.scan.path() }))
     }
 
+    /// What the result's faces carry that has no borders that were held, where the budget has room to find out.
+    pub(super) fn voted<S: Coordinate>(
+        &self,
+        format: write::Format,
+        outfit: Option<&Outfit<S>>,
+        mesh: &IndexedMesh<S>,
+        frame: Frame,
+    ) -> Result<Columns> {
+        let all = if self.job.carry { self.scan.face_columns() } else { Vec::new() };
+        let held = |column: &Column| {
+            let labels = outfit.map_or(&[][..], |outfit| &outfit.worn.coat.face_columns);
+            labels.iter().any(|c| c.name == column.name)
+        };
+        let wanted: Vec<usize> = (0..all.len()).filter(|c| !held(&all[*c])).collect();
+        let columns: Vec<Column> = wanted.iter().map(|c| all[*c].clone()).collect();
+        let Some(least) = least_position_bytes(self.scan) else { return Ok(Columns::default()) };
+        if columns.is_empty() || !format.holds_labels(&columns) {
+            return Ok(Columns::default());
+        }
+        let (faces, vertices) = (mesh.faces.len() as u64, mesh.positions.len() as u64);
+        let result = 12 * faces + 3 * size_of::<S>() as u64 * vertices;
+        let worn = outfit.map_or(0, |outfit| outfit.worn.bytes());
+        let taken = result + worn + votes_bytes(faces, columns.len() as u64);
+        let positions = self.purse.while_streaming().saturating_sub(taken);
+        if positions < least {
+            return Ok(Columns::default());
+        }
+        vote(self.scan, &wanted, mesh, frame, &super::read_crew(&self.purse, self.progress), (&self.scratch, positions))
+    }
+
     /// Which of the scan's columns the result gets, and what of all that the scan carries it does not get.
     pub(super) fn columns<S: Coordinate>(
         &self,
         format: write::Format,
         outfit: Option<&Outfit<S>>,
+        voted: &Columns,
     ) -> (Vec<usize>, Vec<String>) {
         use crate::read::Carrier;
         if !self.job.carry {
@@ -150,12 +204,15 @@ impl Run<'_> {
                 (Carrier::Vertex, name) => is_carried(name),
                 (Carrier::Corner, "vt") => is_worn(Meaning::Texture(0)),
                 (Carrier::Corner, "vn") => is_worn(Meaning::Normal(0)),
-                (Carrier::Face, "usemtl") => outfit.is_some() && format.holds_materials(),
-                (Carrier::Face, "g") => outfit.is_some() && format.holds_groups(),
+                (Carrier::Face, "usemtl" | "material" | "TextureFile") => {
+                    outfit.is_some_and(|o| o.has_textures_in(format))
+                }
+                (Carrier::Face, "g" | "node") => outfit.is_some() && format.holds_groups(),
                 (_, "texcoord") => is_worn(Meaning::Texture(0)),
+                (Carrier::Face, name) if voted.columns.iter().any(|c| c.name == name) => true,
                 (Carrier::Face, name) => outfit.is_some_and(|outfit| {
                     let coat = &outfit.worn.coat;
-                    format.holds_labels(coat) && coat.face_columns.iter().any(|c| c.name == name)
+                    format.holds_labels(&coat.face_columns) && coat.face_columns.iter().any(|c| c.name == name)
                 }),
                 _ => false,
             };
@@ -163,13 +220,38 @@ impl Run<'_> {
                 lost.push(attribute.name);
             }
         }
-        if let Some(outfit) = outfit.filter(|_| format.holds_materials()) {
+        if let Some(outfit) = outfit.filter(|outfit| outfit.has_textures_in(format)) {
             lost.extend(outfit.missing.iter().cloned());
             let textures = outfit.wardrobe.textures.iter();
-            let kept = |texture: &&write::Texture| format == write::Format::Obj || texture.mime().is_some();
+            let kept =
+                |texture: &&write::Texture| format == write::Format::Obj || format.is_ply() || texture.mime().is_some();
             lost.extend(textures.filter(|texture| !kept(texture)).map(|texture| texture.name.clone()));
         }
         (wanted, lost)
+    }
+
+    /// Whether any of what was lost breaks off at seams, and would be there in core.
+    pub(super) fn left_seams_out(&self, format: write::Format, lost: &[String]) -> bool {
+        const OF_CORNERS: [&str; 16] = [
+            "vt",
+            "vn",
+            "TEXCOORD_0",
+            "NORMAL",
+            "texcoord",
+            "s",
+            "t",
+            "u",
+            "v",
+            "texture_u",
+            "texture_v",
+            "tx",
+            "ty",
+            "usemtl",
+            "material",
+            "TextureFile",
+        ];
+        let held = format != write::Format::Stl && self.scan.has_coat();
+        held && lost.iter().any(|name| OF_CORNERS.contains(&name.as_str()))
     }
 
     /// The loaded scan, ready to be collapsed.
@@ -189,5 +271,5 @@ impl Run<'_> {
 
 /// Whether a format holds any of what corners and faces carry.
 fn wears<S: Coordinate>(format: write::Format, outfit: &Outfit<S>) -> bool {
-    format != write::Format::Stl || format.holds_labels(&outfit.worn.coat)
+    format != write::Format::Stl || format.holds_labels(&outfit.worn.coat.face_columns)
 }

@@ -33,7 +33,7 @@ pub fn inspect(inspection: &Inspection, progress: &Progress) -> Result<Inspectio
             target: faces,
             refit_rounds: DEFAULT_REFIT_ROUNDS,
             tail_bytes: collapse::tail_bytes(faces, &policies),
-            shade_bytes: if has_colour(&scan) { 3 * collapse::SHADE_BYTES } else { 0 },
+            shade_bytes: super::shade_bytes(&policies, &scan),
             coat_bytes: super::coat_bytes(&scan),
             carry_bytes: super::carry_bytes(&scan, faces),
             is_chain: false,

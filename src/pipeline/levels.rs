@@ -62,7 +62,8 @@ impl Run<'_> {
             if S::DOUBLE && out.loses_doubles() {
                 warnings.push(Warning::StlLosesDoubles { vertices: chain.mesh.positions.len() as u64 });
             }
-            let (wanted, _) = self.columns(out.format(), chain.outfit);
+            let voted = self.voted(out.format(), chain.outfit, &chain.mesh, chain.frame)?;
+            let (wanted, _) = self.columns(out.format(), chain.outfit, &voted);
             let carried = self.carried(&wanted, &chain.mesh, chain.frame)?;
             let dressed = self.dressed(chain.outfit, &chain.mesh, &chain.wedges, out.format())?;
             seconds.carry += clock.lap();
@@ -70,7 +71,8 @@ impl Run<'_> {
             let vertices = chain.mesh.positions.len();
             let vertices = dressed.as_ref().map_or(vertices, |d| d.vertices(out.format(), vertices));
             let output = mesh_file(&level.output, chain.mesh.faces.len(), vertices);
-            out.write_carrying(&chain.mesh, chain.frame, &carried, clothes, self.progress)?;
+            let load = write::Load { vertices: &carried, faces: &voted, clothes };
+            out.write_carrying(&chain.mesh, chain.frame, load, self.progress)?;
             seconds.write += clock.lap();
             let error_estimate = Some(chain.frame.to_file(chain.error));
             reports.push(LevelReport { output, error_estimate, deviation: None });

@@ -10,11 +10,13 @@
 use super::attribute::Attribute;
 use super::gltf_coat::Extras;
 use super::gltf_json;
+use super::gltf_looks::Looks;
 use super::gltf_scene::Builder;
 use super::map::{Input, WINDOW_BYTES, Window};
 use super::stream::{CHUNK, Crew, Numbering, pump};
 use super::{TriangleChunk, TriangleStep, VertexChunk, VertexStep};
 use crate::error::{Error, Item, Result};
+use crate::mesh::coat;
 use crate::scratch::Scratch;
 use glam::{DAffine3, DVec3};
 use std::path::Path;
@@ -31,6 +33,7 @@ pub(super) struct Gltf {
     pub others: Vec<Input>,
     pub clouds: Vec<Cloud>,
     pub patches: Vec<Patch>,
+    pub looks: Looks,
     pub vertices: u64,
     pub triangles: u64,
     pub fits_f32: bool,
@@ -77,6 +80,8 @@ pub(super) struct Patch {
     /// Without, vertices are taken as they come.
     pub indices: Option<Numbers>,
     pub mirrored: bool,
+    /// What its triangles belong to, by the numbers that [`Looks`] has.
+    pub belongs: coat::Patch,
     pub triangles: u64,
     pub first: u64,
 }

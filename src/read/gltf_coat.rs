@@ -1,13 +1,15 @@
-//! What vertices of glTF carry: colours, texture coordinates, normals. Materials and textures are passed over.
+//! What vertices of glTF carry: colours, texture coordinates, normals; what faces belong to is in `gltf_looks`.
 //!
 //! Files split vertices where these break off; those that lie at one place are told apart as wedges again (`carry`).
 
 use super::gltf::{Cloud, Gltf, Numbers};
+use super::gltf_json::TextureTransform;
+use super::gltf_looks::patches;
 use super::map::Input;
 use super::stream::{CHUNK, Crew};
 use super::{CarriedChunk, CarriedStep, TriangleChunk};
 use crate::error::Result;
-use crate::mesh::coat::{Coat, Corners, NOTHING, Patch};
+use crate::mesh::coat::{Coat, Corners, NOTHING};
 use crate::mesh::columns::{Column, Meaning, Number};
 use crate::progress::Progress;
 use glam::DVec3;
@@ -17,6 +19,8 @@ use std::sync::{Mutex, PoisonError};
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Extras {
     pub texture: Option<Numbers>,
+    /// How texture coordinates are turned and moved.
+    pub turned: Option<TextureTransform>,
     pub normal: Option<Numbers>,
     pub colour: Option<Numbers>,
 }
@@ -33,7 +37,8 @@ impl Gltf {
 
     /// Whether there is anything else that vertices carry.
     pub fn is_coated(&self) -> bool {
-        self.clouds.iter().any(|cloud| cloud.extras.texture.is_some() || cloud.extras.normal.is_some())
+        let has = |cloud: &Cloud| cloud.extras.texture.is_some() || cloud.extras.normal.is_some();
+        self.clouds.iter().any(has) || !self.looks.is_plain()
     }
 
     /// Streams the vertices with their colours.
@@ -65,7 +70,16 @@ impl Gltf {
 
     /// Values of all vertices.
     pub fn coat(&self, input: &Input, progress: &Progress) -> Result<Coat> {
-        let mut coat = Coat { patches: vec![Patch::default()], ..Coat::default() };
+        let looks = &self.looks;
+        let mut coat = Coat {
+            patches: patches(&self.patches).0,
+            materials: looks.names.clone(),
+            looks: looks.looks.clone(),
+            pictures: looks.pictures.clone(),
+            lost: looks.lost.clone(),
+            groups: looks.groups.clone(),
+            ..Coat::default()
+        };
         let has = |of: fn(&Cloud) -> Option<Numbers>| self.clouds.iter().any(|cloud| of(cloud).is_some());
         let [textured, smooth] = [has(|cloud| cloud.extras.texture), has(|cloud| cloud.extras.normal)];
         for cloud in &self.clouds {
@@ -77,7 +91,10 @@ impl Gltf {
                 match &cloud.extras.texture {
                     Some(numbers) => {
                         let window = numbers.window(self.input(input, numbers), done, some, 2)?;
-                        numbers.each::<2>(&window, |[s, t]| coat.uvs.push([s as f32, (1.0 - t) as f32]));
+                        numbers.each::<2>(&window, |uv| {
+                            let [s, t] = cloud.extras.turned.map_or(uv, |turned| turned.apply(uv));
+                            coat.uvs.push([s as f32, (1.0 - t) as f32]);
+                        });
                     }
                     None if textured => coat.uvs.extend((0..some).map(|_| [f32::NAN; 2])),
                     None => {}
@@ -109,12 +126,16 @@ impl Gltf {
         step: &mut (dyn FnMut(Corners) + Send),
     ) -> Result<()> {
         let step = Mutex::new(step);
+        let (_, of_patches) = patches(&self.patches);
         self.triangles(input, &Crew { workers: 1, progress }, &|_, chunk: TriangleChunk<'_>| {
             let mut step = step.lock().unwrap_or_else(PoisonError::into_inner);
+            // A chunk is of one primitive.
+            let primitive = self.patches.partition_point(|patch| patch.first <= chunk.first);
+            let patch = primitive.checked_sub(1).map_or(0, |i| of_patches[i]);
             for vertices in chunk.triangles {
                 let of = |there: bool| if there { *vertices } else { [NOTHING; 3] };
                 let (uvs, normals) = (of(!coat.uvs.is_empty()), of(!coat.normals.is_empty()));
-                step(Corners { vertices: *vertices, uvs, normals, patch: 0 });
+                step(Corners { vertices: *vertices, uvs, normals, patch });
             }
             Ok(())
         })
@@ -122,7 +143,7 @@ impl Gltf {
 }
 
 /// The colour's part that a share of light is (sRGB).
-fn shown(light: f64) -> f64 {
+pub(super) fn shown(light: f64) -> f64 {
     let light = light.clamp(0.0, 1.0);
     if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }

@@ -22,7 +22,7 @@ const UNPACKED: &str = "\u{1}unpacked:";
 /// The longest media type in front of the bytes of an embedded buffer.
 const MEDIA_BYTES: usize = 256;
 
-/// As much of a document as positions and faces need.
+/// As much of a document as is read.
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct Document {
@@ -33,6 +33,9 @@ pub(super) struct Document {
     pub accessors: Vec<Accessor>,
     pub buffer_views: Vec<View>,
     pub buffers: Vec<Buffer>,
+    pub materials: Vec<Material>,
+    pub textures: Vec<Texture>,
+    pub images: Vec<Image>,
     pub extensions_required: Vec<String>,
 }
 
@@ -45,6 +48,7 @@ pub(super) struct Scene {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Node {
+    pub name: Option<String>,
     pub mesh: Option<usize>,
     pub children: Vec<usize>,
     pub matrix: Option<[f64; 16]>,
@@ -56,6 +60,7 @@ pub(super) struct Node {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Mesh {
+    pub name: Option<String>,
     pub primitives: Vec<Primitive>,
 }
 
@@ -65,6 +70,7 @@ pub(super) struct Primitive {
     pub attributes: BTreeMap<String, usize>,
     pub indices: Option<usize>,
     pub mode: Option<u32>,
+    pub material: Option<usize>,
     pub extensions: BTreeMap<String, serde::de::IgnoredAny>,
 }
 
@@ -100,6 +106,70 @@ pub(super) struct Buffer {
     pub byte_length: u64,
 }
 
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Material {
+    pub name: Option<String>,
+    pub pbr_metallic_roughness: Surface,
+    pub alpha_mode: Option<String>,
+    pub extensions: MaterialExtensions,
+}
+
+/// The base of a material, by the names that glTF and its older extension use.
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Surface {
+    #[serde(alias = "diffuseFactor")]
+    pub base_color_factor: Option<[f64; 4]>,
+    #[serde(alias = "diffuseTexture")]
+    pub base_color_texture: Option<TextureUse>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct MaterialExtensions {
+    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
+    pub specular_glossiness: Option<Surface>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct TextureUse {
+    pub index: usize,
+    pub tex_coord: usize,
+    pub extensions: TextureExtensions,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct TextureExtensions {
+    #[serde(rename = "KHR_texture_transform")]
+    pub transform: Option<TextureTransform>,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct TextureTransform {
+    pub offset: [f64; 2],
+    pub rotation: f64,
+    pub scale: Option<[f64; 2]>,
+    pub tex_coord: Option<usize>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Texture {
+    pub source: Option<usize>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Image {
+    pub name: Option<String>,
+    pub uri: Option<String>,
+    pub buffer_view: Option<usize>,
+}
+
 /// Where a buffer is.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Place<'a> {
@@ -113,13 +183,15 @@ pub(super) enum Place<'a> {
 
 impl Buffer {
     pub fn place(&self) -> Place<'_> {
-        match &self.uri {
-            None => Place::Here,
-            Some(uri) => match uri.strip_prefix(UNPACKED).and_then(|n| n.parse().ok()) {
-                Some(number) => Place::Unpacked(number),
-                None => Place::Beside(uri),
-            },
-        }
+        self.uri.as_deref().map_or(Place::Here, place)
+    }
+}
+
+/// Where something is that has a URI.
+pub(super) fn place(uri: &str) -> Place<'_> {
+    match uri.strip_prefix(UNPACKED).and_then(|n| n.parse().ok()) {
+        Some(number) => Place::Unpacked(number),
+        None => Place::Beside(uri),
     }
 }
 
@@ -206,7 +278,8 @@ impl Reader<'_> {
                 b'"' => {
                     let length = unpacking.finish()?;
                     let State::Embedded(done) = std::mem::replace(&mut self.at, State::Outside) else { return Ok(()) };
-                    if let Some(file) = done.file {
+                    // No texture is empty; an empty buffer is refused where it is used.
+                    if let Some(file) = done.file.filter(|_| length > 0 || !done.is_picture) {
                         debug_assert_eq!(file.length(), length);
                         self.text.extend(format!("\\u0001unpacked:{}", self.unpacked.len()).bytes());
                         self.unpacked.push(file);
@@ -235,18 +308,19 @@ impl Reader<'_> {
         if !media.starts_with(DATA) || media.len() > MEDIA_BYTES || !media.ends_with(b";base64,") {
             return Ok(());
         }
-        // Textures are nobody's business here.
-        let file = if media.starts_with(b"data:image") {
-            None
-        } else {
-            let Some(scratch) = self.scratch else {
+        let is_picture = media.starts_with(b"data:image");
+        let file = match self.scratch {
+            Some(scratch) => Some(scratch.file()?),
+            // Whoever has no scratch wants no textures.
+            None if is_picture => None,
+            None => {
                 let what = "embeds its buffers, which needs a folder for scratch to unpack them into";
                 return Err(Fault::Failed(Error::input(self.input.path(), what)));
-            };
-            Some(scratch.file()?)
+            }
         };
         self.text.truncate(begin);
-        self.at = State::Embedded(Unpacking { file, bytes: Vec::new(), length: 0, bits: 0, held: 0, padded: false });
+        let nothing = Unpacking { file, is_picture, bytes: Vec::new(), length: 0, bits: 0, held: 0, padded: false };
+        self.at = State::Embedded(nothing);
         Ok(())
     }
 }
@@ -254,6 +328,7 @@ impl Reader<'_> {
 /// Base64 on its way into a file.
 struct Unpacking {
     file: Option<ScratchFile>,
+    is_picture: bool,
     bytes: Vec<u8>,
     length: u64,
     bits: u32,

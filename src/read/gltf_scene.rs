@@ -5,10 +5,12 @@
 use super::attribute::{Attribute, Carrier};
 use super::gltf::{Cloud, Gltf, Kind, Numbers, Patch, Shape};
 use super::gltf_coat::Extras;
-use super::gltf_json::{Accessor, Document, Node, Place, Primitive, View};
+use super::gltf_json::{Accessor, Document, Image, Node, Place, Primitive, View, place};
+use super::gltf_looks::{Texturing, Wanted};
 use super::map::Input;
 use super::ply_header::shown;
 use crate::error::{Error, Item, Result};
+use crate::mesh::coat::{self, Bytes};
 use glam::{DAffine3, DMat4, DQuat, DVec3};
 use rustc_hash::FxHashMap;
 use std::path::{Path, PathBuf};
@@ -33,6 +35,7 @@ pub(super) struct Builder<'a> {
     vertices: u64,
     triangles: u64,
     fits_f32: bool,
+    wanted: Wanted,
 }
 
 impl<'a> Builder<'a> {
@@ -49,7 +52,13 @@ impl<'a> Builder<'a> {
             vertices: 0,
             triangles: 0,
             fits_f32: true,
+            wanted: Wanted::default(),
         }
+    }
+
+    /// What is read.
+    pub fn document(&self) -> &'a Document {
+        self.document
     }
 
     fn wrong<T>(&self, kind: &'static str, ordinal: usize, what: impl Into<String>) -> Result<T> {
@@ -77,7 +86,7 @@ impl<'a> Builder<'a> {
     pub fn scene(&mut self) -> Result<()> {
         let document = self.document;
         if document.nodes.is_empty() {
-            return (0..document.meshes.len()).try_for_each(|mesh| self.object(mesh, DAffine3::IDENTITY));
+            return (0..document.meshes.len()).try_for_each(|mesh| self.object(mesh, None, DAffine3::IDENTITY));
         }
         let roots = match document.scenes.get(document.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
@@ -103,7 +112,7 @@ impl<'a> Builder<'a> {
                 return self.wrong("node", n, "has a transform that is not finite");
             };
             if let Some(mesh) = node.mesh {
-                self.object(mesh, transform)?;
+                self.object(mesh, node.name.as_deref(), transform)?;
             }
             open.extend(node.children.iter().rev().map(|child| (*child, transform)));
         }
@@ -111,7 +120,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Takes a mesh, put where a node puts it.
-    fn object(&mut self, mesh: usize, transform: DAffine3) -> Result<()> {
+    fn object(&mut self, mesh: usize, node: Option<&str>, transform: DAffine3) -> Result<()> {
         let document = self.document;
         let Some(found) = document.meshes.get(mesh) else { return self.wrong("mesh", mesh, "is named, but not there") };
         let mut clouds = FxHashMap::default();
@@ -124,16 +133,24 @@ impl<'a> Builder<'a> {
             };
             let Some(&positions) = primitive.attributes.get("POSITION") else { continue };
             self.check_primitive(mesh, primitive)?;
-            let extras = ["TEXCOORD_0", "NORMAL", "COLOR_0"].map(|name| primitive.attributes.get(name).copied());
-            let cloud = match clouds.get(&(positions, extras)) {
+            let texturing = Texturing::of(document, primitive.material);
+            let names = [texturing.name(), "NORMAL".into(), "COLOR_0".into()];
+            let extras = names.map(|name| primitive.attributes.get(&name).copied());
+            let key = (positions, extras, texturing.turned.map(|_| primitive.material));
+            let cloud = match clouds.get(&key) {
                 Some(cloud) => *cloud,
                 None => {
-                    let cloud = self.cloud(positions, extras, transform)?;
-                    clouds.insert((positions, extras), cloud);
+                    let cloud = self.cloud(positions, extras, texturing, transform)?;
+                    clouds.insert(key, cloud);
                     cloud
                 }
             };
-            self.patch(cloud, shape, primitive.indices, transform)?;
+            let belongs = coat::Patch {
+                material: primitive.material.map(|material| self.wanted.material(document, material)),
+                group: node.or(found.name.as_deref()).map(|name| self.wanted.group(name)),
+                labels: Vec::new(),
+            };
+            self.patch(cloud, shape, primitive.indices, transform, belongs)?;
         }
         Ok(())
     }
@@ -148,7 +165,13 @@ impl<'a> Builder<'a> {
         }
     }
 
-    fn cloud(&mut self, accessor: usize, extras: [Option<usize>; 3], transform: DAffine3) -> Result<usize> {
+    fn cloud(
+        &mut self,
+        accessor: usize,
+        extras: [Option<usize>; 3],
+        texturing: Texturing,
+        transform: DAffine3,
+    ) -> Result<usize> {
         let numbers = self.numbers(accessor, "VEC3", 3)?;
         if numbers.kind == Kind::U32 {
             return self.wrong("accessor", accessor, "holds positions in unsigned int, which glTF does not have");
@@ -157,6 +180,7 @@ impl<'a> Builder<'a> {
         self.fits_f32 &= !is_moved || !is_far(&self.document.accessors[accessor], &transform);
         let [texture, normal, colour] = extras;
         let extras = Extras {
+            turned: texturing.turned,
             texture: self.extra(texture, &[("VEC2", 2)], numbers.count),
             normal: self.extra(normal, &[("VEC3", 3)], numbers.count),
             colour: self.extra(colour, &[("VEC3", 3), ("VEC4", 4)], numbers.count),
@@ -175,7 +199,14 @@ impl<'a> Builder<'a> {
         found.filter(|numbers| numbers.count == count && numbers.kind != Kind::U32)
     }
 
-    fn patch(&mut self, cloud: usize, shape: Shape, indices: Option<usize>, transform: DAffine3) -> Result<()> {
+    fn patch(
+        &mut self,
+        cloud: usize,
+        shape: Shape,
+        indices: Option<usize>,
+        transform: DAffine3,
+        belongs: coat::Patch,
+    ) -> Result<()> {
         let indices = match indices {
             Some(accessor) => {
                 let numbers = self.numbers(accessor, "SCALAR", 1)?;
@@ -194,7 +225,7 @@ impl<'a> Builder<'a> {
         let triangles = shape.triangles(corners);
         if triangles > 0 {
             let mirrored = transform.matrix3.determinant() < 0.0;
-            self.patches.push(Patch { cloud, shape, indices, mirrored, triangles, first: self.triangles });
+            self.patches.push(Patch { cloud, shape, indices, mirrored, belongs, triangles, first: self.triangles });
             self.triangles = self.triangles.saturating_add(triangles);
         }
         Ok(())
@@ -287,6 +318,27 @@ impl<'a> Builder<'a> {
         Ok((source, begin, buffer.byte_length))
     }
 
+    /// Where an image is.
+    pub fn picture(&mut self, image: &Image) -> Option<Bytes> {
+        if let Some(view) = image.buffer_view {
+            let view = self.document.buffer_views.get(view)?;
+            let (source, begin, length) = self.source(view.buffer).ok()?;
+            let end = view.byte_offset.checked_add(view.byte_length)?;
+            let file = source.checked_sub(1).map_or(self.input, |i| &self.others[i]);
+            return (end <= length).then(|| file.part(begin + view.byte_offset, view.byte_length).ok()).flatten();
+        }
+        match place(image.uri.as_deref()?) {
+            Place::Unpacked(i) => self.others.get(i).and_then(|file| file.part(0, file.len()).ok()),
+            Place::Beside(uri) => {
+                let name = unescaped(uri).filter(|name| !name.is_empty() && !uri.contains("://"))?;
+                let path = Path::new(&name);
+                let folder = self.input.path().parent().unwrap_or(Path::new(""));
+                (path.is_relative() && folder.join(path).is_file()).then(|| Bytes::File(folder.join(path)))
+            }
+            Place::Here => None,
+        }
+    }
+
     fn file_beside(&mut self, number: usize, uri: &str) -> Result<usize> {
         let place = shown(uri);
         let name = match unescaped(uri) {
@@ -307,13 +359,16 @@ impl<'a> Builder<'a> {
         Ok(self.others.len() - 1)
     }
 
-    pub fn finish(self, is_binary: bool, trailing: u64) -> Result<Gltf> {
+    pub fn finish(mut self, is_binary: bool, trailing: u64) -> Result<Gltf> {
         if self.triangles == 0 {
             return Err(Error::input(self.input.path(), "has no faces: no triangles in its scene"));
         }
-        let attributes = attributes(self.document);
+        let looks = std::mem::take(&mut self.wanted).looks(&mut self);
+        looks.tidy(&mut self.patches);
+        let mut attributes = attributes(self.document);
+        attributes.extend(looks.attributes());
         let Builder { others, clouds, patches, vertices, triangles, fits_f32, .. } = self;
-        Ok(Gltf { is_binary, others, clouds, patches, vertices, triangles, fits_f32, attributes, trailing })
+        Ok(Gltf { is_binary, others, clouds, patches, looks, vertices, triangles, fits_f32, attributes, trailing })
     }
 }
 
@@ -365,7 +420,7 @@ fn is_far(accessor: &Accessor, transform: &DAffine3) -> bool {
 }
 
 /// The text of a URI, `%20` and the like resolved.
-fn unescaped(uri: &str) -> Option<String> {
+pub(super) fn unescaped(uri: &str) -> Option<String> {
     let mut bytes = Vec::new();
     let mut rest = uri.bytes();
     while let Some(byte) = rest.next() {

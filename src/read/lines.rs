@@ -247,6 +247,19 @@ impl<D: Dialect> Text<D> {
         Ok(())
     }
 
+    /// The first line that is a face.
+    pub fn first_face(&self, input: &Input) -> Result<Option<Vec<u8>>> {
+        let Some(block) = self.blocks.iter().find(|block| block.here.faces > 0) else { return Ok(None) };
+        let window = input.window(block.offset, block.bytes)?;
+        let mut counted = 0;
+        let face =
+            lines(&window, self.ending).find_map(|line| match self.sort(line, &mut counted, block.before.lines) {
+                Line::Face(face) => Some(face.to_vec()),
+                _ => None,
+            });
+        Ok(face)
+    }
+
     fn pump<L: Send>(
         &self,
         input: &Input,

@@ -5,12 +5,14 @@
 #![allow(unsafe_code)]
 
 use crate::error::{Error, Result};
+use crate::mesh::coat::Bytes;
 use crate::scratch::ScratchFile;
 use memmap2::{Mmap, MmapOptions};
 use std::fs::File;
 use std::ops::Deref;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The length of a window: long enough that mapping it costs nothing beside decoding it, short enough that a handful in
 /// flight is a few mebibytes.
@@ -57,6 +59,12 @@ impl Input {
     /// Whether its bytes are in scratch, not at [`path`](Self::path): offsets then mean nothing to the user.
     pub fn is_unpacked(&self) -> bool {
         self.unpacked.is_some()
+    }
+
+    /// Some of its bytes, for whoever reads them later.
+    pub fn part(&self, offset: u64, length: u64) -> Result<Bytes> {
+        let file = self.file.try_clone().map_err(Error::io(&self.path, "cannot read"))?;
+        Ok(Bytes::Part { file: Arc::new(file), offset, length })
     }
 
     /// Its size when it was opened.

@@ -17,6 +17,7 @@ mod floor;
 mod gltf;
 mod gltf_coat;
 mod gltf_json;
+mod gltf_looks;
 mod gltf_scene;
 mod lines;
 mod load;
@@ -24,6 +25,7 @@ mod map;
 mod obj;
 mod obj_corners;
 mod off;
+mod off_corners;
 mod ply;
 mod ply_binary;
 mod ply_corners;
@@ -35,6 +37,8 @@ mod stl;
 mod stl_ascii;
 mod stl_corners;
 mod stream;
+
+pub(crate) use ply_header::MOST_COLUMNS;
 
 pub use attribute::{Attribute, Carrier};
 pub use load::{LoadReport, Loaded, load, load_peak_bytes};
@@ -151,6 +155,9 @@ type VertexStep<'a> = dyn Fn(usize, VertexChunk<'_>) -> Result<()> + Sync + 'a;
 type TriangleStep<'a> = dyn Fn(usize, TriangleChunk<'_>) -> Result<()> + Sync + 'a;
 type SoupStep<'a> = dyn Fn(usize, SoupChunk<'_>) -> Result<()> + Sync + 'a;
 
+/// What becomes of a face, given how many triangles it is and its numbers.
+pub type FaceStep<'a> = dyn FnMut(usize, &[f64]) + 'a;
+
 type CarriedStep<'a> = dyn Fn(usize, CarriedChunk<'_>) -> Result<()> + Sync + 'a;
 
 /// At most 16,384 vertices with what they carry, in the order of the file.
@@ -225,7 +232,7 @@ impl Scan {
             Body::Ply(ply) => ply.columns(),
             Body::Obj(text) => text.dialect.columns(),
             Body::Gltf(gltf) => gltf.columns(),
-            Body::Off(text) => text.dialect.numbers.iter().map(|(column, _)| column.clone()).collect(),
+            Body::Off(text) => text.dialect.columns(),
             Body::OffBinary(ply) => ply.columns(),
             Body::Stl(_) => Vec::new(),
         };
@@ -278,7 +285,10 @@ impl Scan {
     /// What it carries beside positions and faces, which none of the passes here yields.
     pub fn attributes(&self) -> Vec<Attribute> {
         match &self.body {
-            Body::Ply(ply) | Body::OffBinary(ply) => ply.attributes(),
+            Body::Ply(ply) | Body::OffBinary(ply) => {
+                let textures = ply.textures.iter().map(|name| Attribute::of(Carrier::Face, "TextureFile", name));
+                ply.attributes().into_iter().chain(textures).collect()
+            }
             Body::Stl(_) if self.has_coat() => vec![Attribute::of(Carrier::Face, stl_corners::NAME, "ushort")],
             Body::Stl(_) => Vec::new(),
             Body::Obj(text) => text.dialect.attributes(),
@@ -425,7 +435,8 @@ impl Scan {
             Body::Obj(text) => text.carried(&[255.0; 3][..self.columns.len()], &self.input, crew, &step)?,
             Body::Off(text) => {
                 let factors: Vec<f64> = text.dialect.numbers.iter().map(|(_, factor)| *factor).collect();
-                text.carried(&factors, &self.input, crew, &step)?;
+                let factors = &factors[..self.columns.len()];
+                text.carried(factors, &self.input, crew, &step)?;
             }
             Body::Gltf(gltf) => gltf.carried(&self.input, crew, &step)?,
             _ => return Err(Error::input(self.path(), "its vertices carry nothing that is read")),
@@ -440,6 +451,7 @@ impl Scan {
             Body::Ply(ply) | Body::OffBinary(ply) if self.has_coat() => ply.coat(&self.input, progress).map(Some),
             Body::Stl(stl) if self.has_coat() => stl.coat(&self.input, progress).map(Some),
             Body::Gltf(gltf) if self.has_coat() => gltf.coat(&self.input, progress).map(Some),
+            Body::Off(text) if self.has_coat() => off_corners::coat(text, &self.input, progress).map(Some),
             _ => Ok(None),
         }
     }
@@ -451,7 +463,7 @@ impl Scan {
             Body::Ply(ply) | Body::OffBinary(ply) => ply.is_coated(),
             Body::Stl(stl) => stl.is_coated(&self.input),
             Body::Gltf(gltf) => gltf.is_coated(),
-            Body::Off(_) => false,
+            Body::Off(text) => text.dialect.is_coated(),
         }
     }
 
@@ -471,7 +483,27 @@ impl Scan {
             Body::Ply(ply) | Body::OffBinary(ply) => ply.corners(coat, &self.input, progress, step),
             Body::Stl(stl) => stl.corners(coat, &self.input, progress, step),
             Body::Gltf(gltf) => gltf.corners(coat, &self.input, progress, step),
-            _ => Ok(()),
+            Body::Off(text) => off_corners::corners(text, coat, &self.input, progress, step),
+        }
+    }
+
+    /// Numbers that its faces carry.
+    pub fn face_columns(&self) -> Vec<Column> {
+        match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.face.columns().into_iter().map(|(_, column)| column).collect(),
+            Body::Stl(_) if self.has_coat() => Stl::face_columns(),
+            Body::Off(text) => text.dialect.face_columns(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Goes through the numbers of all faces, in the order of the file.
+    pub fn face_values(&self, progress: &Progress, each: &mut FaceStep<'_>) -> Result<()> {
+        match &self.body {
+            Body::Ply(ply) | Body::OffBinary(ply) => ply.face_values(&self.input, progress, each),
+            Body::Stl(stl) => stl.face_values(&self.input, progress, each),
+            Body::Off(text) => off_corners::face_values(text, &self.input, progress, each),
+            Body::Obj(_) | Body::Gltf(_) => Ok(()),
         }
     }
 

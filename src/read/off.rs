@@ -27,6 +27,8 @@ pub(super) struct Off {
     pub faces: u64,
     /// Numbers that vertices have behind their coordinates, and what the file's are to be multiplied by.
     pub numbers: Vec<(Column, f64)>,
+    /// The same of faces, behind their corners.
+    pub of_faces: Vec<(Column, f64)>,
 }
 
 /// What vertices carry, by the letters before `OFF`.
@@ -52,21 +54,59 @@ impl Carried {
         let first = 3 + 3 * usize::from(self.normals);
         let shares = words(vertex).skip(first).take(parts).any(|word| word.contains(&b'.'));
         let names = if self.colours && parts < 3 { Carried { colours: false, ..self } } else { self }.names(parts);
-        let number = |name: &str| {
-            let meaning = Meaning::of(name);
-            let is_colour = matches!(meaning, Meaning::Colour(_));
-            let number = if is_colour { Number::U8 } else { Number::F32 };
-            (Column { name: name.into(), number, meaning }, if is_colour && shares { 255.0 } else { 1.0 })
-        };
-        names.into_iter().map(number).collect()
+        names.into_iter().map(|name| column(name, shares)).collect()
     }
+}
+
+/// A number by its name, and what it is to be multiplied by: colours may be shares of full brightness.
+fn column(name: &str, shares: bool) -> (Column, f64) {
+    let meaning = Meaning::of(name);
+    let is_colour = matches!(meaning, Meaning::Colour(_));
+    let number = if is_colour { Number::U8 } else { Number::F32 };
+    (Column { name: name.into(), number, meaning }, if is_colour && shares { 255.0 } else { 1.0 })
+}
+
+/// The parts of a colour.
+fn colour_numbers(parts: usize, shares: bool) -> Vec<(Column, f64)> {
+    ["red", "green", "blue", "alpha"][..parts].iter().map(|name| column(name, shares)).collect()
 }
 
 impl Off {
     /// What vertices carry, as names and types.
     pub fn attributes(&self) -> Vec<Attribute> {
-        let attribute = |(c, _): &(Column, f64)| Attribute::of(Carrier::Vertex, &c.name, c.number.word());
-        self.numbers.iter().map(attribute).collect()
+        let attribute = |carrier| move |(c, _): &(Column, f64)| Attribute::of(carrier, &c.name, c.number.word());
+        let of_faces = self.of_faces.iter().map(attribute(Carrier::Face));
+        self.numbers.iter().map(attribute(Carrier::Vertex)).chain(of_faces).collect()
+    }
+
+    /// Where among the numbers of a vertex its texture coordinates are, which come last.
+    pub fn texture(&self) -> Option<usize> {
+        self.numbers.len().checked_sub(2).filter(|at| self.numbers[*at].0.name == "s")
+    }
+
+    /// What vertices carry, texture coordinates left out: a texture has seams, over which they must not be averaged.
+    pub fn columns(&self) -> Vec<Column> {
+        let count = self.texture().unwrap_or(self.numbers.len());
+        self.numbers[..count].iter().map(|(column, _)| column.clone()).collect()
+    }
+
+    /// What faces carry.
+    pub fn face_columns(&self) -> Vec<Column> {
+        self.of_faces.iter().map(|(column, _)| column.clone()).collect()
+    }
+
+    /// Whether there is anything that corners or faces carry.
+    pub fn is_coated(&self) -> bool {
+        self.texture().is_some() || !self.of_faces.is_empty()
+    }
+
+    /// The numbers of faces, of which this is one.
+    fn look_at(&mut self, face: &[u8]) {
+        let corners = words(face).next().and_then(integer).and_then(|n| usize::try_from(n).ok()).unwrap_or(0);
+        let rest: Vec<&[u8]> = words(face).skip(corners.saturating_add(1)).collect();
+        if matches!(rest.len(), 3 | 4) {
+            self.of_faces = colour_numbers(rest.len(), rest.iter().any(|word| word.contains(&b'.')));
+        }
     }
 }
 
@@ -127,7 +167,11 @@ pub(super) fn open(input: &Input, progress: &Progress) -> Result<Opened> {
         return Err(Error::input(input.path(), what));
     }
     let numbers = carried.numbers(first_line(head.get(payload as usize..).unwrap_or_default()));
-    let text = Text::open(input, progress, Off { vertices, faces, numbers }, payload)?;
+    let off = Off { vertices, faces, numbers, of_faces: Vec::new() };
+    let mut text = Text::open(input, progress, off, payload)?;
+    if let Some(face) = text.first_face(input)? {
+        text.dialect.look_at(&face);
+    }
     let found = text.total;
     if (found.vertices, found.faces) != (vertices, faces) {
         let (kind, ordinal) =
@@ -208,6 +252,7 @@ fn binary(input: &Input, head: &[u8], payload: usize, carried: Carried) -> Resul
     Ok(Header {
         encoding: Encoding::BinaryBigEndian,
         payload: payload as u64 + 12,
+        textures: Vec::new(),
         elements: vec![
             Element { kind: "vertex", count: vertices, properties: vertex },
             Element { kind: "face", count: faces, properties: face },

@@ -46,6 +46,8 @@ pub(super) struct Ply {
     /// Polygons of fewer than three corners.
     pub short_polygons: u64,
     pub trailing: u64,
+    /// Files that the header names as textures.
+    pub textures: Vec<String>,
 }
 
 impl Ply {
@@ -71,6 +73,7 @@ impl Ply {
             triangles: 0,
             short_polygons: 0,
             trailing: 0,
+            textures: header.textures,
         };
         ply.check_elements().map_err(|what| refuse(&what))?;
         let mut at = header.payload;

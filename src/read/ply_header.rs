@@ -13,7 +13,7 @@ use ply_rs::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType
 use rustc_hash::FxHashMap;
 
 /// The most numbers of a vertex that are carried.
-pub(super) const MOST_COLUMNS: usize = 13;
+pub(crate) const MOST_COLUMNS: usize = 13;
 
 /// Names of texture coordinates, two by two.
 const TEXTURE: [&str; 8] = ["s", "t", "u", "v", "texture_u", "texture_v", "tx", "ty"];
@@ -118,6 +118,11 @@ impl Element {
         self.properties.iter().position(is)
     }
 
+    /// The number of the texture that a face has.
+    pub fn texture_number(&self) -> Option<(usize, Column)> {
+        self.columns().into_iter().find(|(_, column)| column.name == "texnumber" && column.number.is_integer())
+    }
+
     /// Whole numbers that faces carry: labels, colours.
     pub fn labels(&self) -> Vec<(usize, Column)> {
         let whole = |p: &Property| matches!(p.shape, Shape::Scalar(kind) if kind.is_integer());
@@ -159,6 +164,8 @@ pub(super) struct Header {
     /// Where the first element begins.
     pub payload: u64,
     pub elements: Vec<Element>,
+    /// Files that comments name as textures.
+    pub textures: Vec<String>,
 }
 
 /// Whether a file that begins like this is a PLY file.
@@ -175,7 +182,21 @@ pub(super) fn read(input: &Input) -> Result<Header> {
     let parsed =
         parsed.map_err(|e| Error::input(input.path(), format!("PLY header: {}", first_line(&e.to_string()))))?;
     let elements = parsed.elements.values().map(|def| element(def, &cleaner.names)).collect();
-    Ok(Header { encoding: parsed.encoding, payload, elements })
+    Ok(Header { encoding: parsed.encoding, payload, elements, textures: textures(&bytes) })
+}
+
+/// The most textures that a header is asked for.
+const MOST_TEXTURES: usize = 1024;
+
+/// What `comment TextureFile` lines name.
+fn textures(header: &[u8]) -> Vec<String> {
+    let name = |line: &[u8]| {
+        let line = String::from_utf8_lossy(line.trim_ascii());
+        let rest = line.strip_prefix("comment")?.trim_start().strip_prefix("TextureFile")?;
+        let name = rest.trim_start();
+        (rest.len() > name.len() && !name.is_empty() && !name.contains('\0')).then(|| name.to_string())
+    };
+    header.split(|b| *b == line_ending(header)).filter_map(name).take(MOST_TEXTURES).collect()
 }
 
 /// What a parser's error says, without the number of a line that the cleaned copy does not share with the file.

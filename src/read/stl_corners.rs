@@ -1,5 +1,6 @@
 //! The two bytes that a face of a binary STL has to spare: a colour or a label.
 
+use super::FaceStep;
 use super::map::Input;
 use super::stl::Stl;
 use crate::error::Result;
@@ -38,11 +39,21 @@ impl Stl {
         if labels.len() > MOST_LABELS {
             labels = vec![0];
         } else {
-            coat.face_columns.push(Column { name: NAME.into(), number: Number::U16, meaning: Meaning::Other });
+            coat.face_columns = Self::face_columns();
         }
         let patch = |label: u16| Patch { labels: vec![f64::from(label).to_bits()], ..Patch::default() };
         coat.patches = labels.into_iter().map(patch).collect();
         Ok(coat)
+    }
+
+    /// What its faces carry.
+    pub fn face_columns() -> Vec<Column> {
+        vec![Column { name: NAME.into(), number: Number::U16, meaning: Meaning::Other }]
+    }
+
+    /// Goes through the labels of faces.
+    pub fn face_values(&self, input: &Input, progress: &Progress, each: &mut FaceStep<'_>) -> Result<()> {
+        self.labels(input, progress, &mut |label| each(1, &[f64::from(label)]))
     }
 
     fn labels(&self, input: &Input, progress: &Progress, each: &mut dyn FnMut(u16)) -> Result<()> {
@@ -66,7 +77,8 @@ impl Stl {
         step: &mut dyn FnMut(Corners),
     ) -> Result<()> {
         let labels = coat.patches.iter().enumerate();
-        let numbers: FxHashMap<u64, u32> = labels.map(|(i, patch)| (patch.labels[0], i as u32)).collect();
+        let numbers: FxHashMap<u64, u32> =
+            labels.filter_map(|(i, patch)| Some((*patch.labels.first()?, i as u32))).collect();
         let mut first = 0u32;
         self.labels(input, progress, &mut |label| {
             let patch = numbers.get(&f64::from(label).to_bits()).copied().unwrap_or(0);

@@ -1,6 +1,7 @@
 //! What goes into a report beside its figures: the warnings, and their wording.
 
 use super::{count, grouped};
+use crate::budget::Size;
 use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
 use std::fmt;
@@ -12,6 +13,11 @@ pub enum Warning {
     NotCarried {
         /// By the scan's names.
         names: Vec<String>,
+    },
+    /// What breaks off at seams was left out, since the scan does not fit the budget.
+    SeamsLeftOut {
+        /// A budget that it fits.
+        needed_bytes: u64,
     },
     /// Pieces were too small to be kept.
     SmallPieces {
@@ -113,6 +119,7 @@ impl Warning {
             Warning::SmallPieces { .. } => "small-pieces",
             Warning::NotCarried { .. } => "not-carried",
             Warning::SeamsGaveWay => "seams-gave-way",
+            Warning::SeamsLeftOut { .. } => "seams-left-out",
             Warning::NoPicture { .. } => "no-picture",
         }
     }
@@ -129,6 +136,12 @@ impl fmt::Display for Warning {
                 let more = if more > 0 { format!(" and {more} more") } else { String::new() };
                 write!(f, "not carried over to the result: {}{more}", shown.join(", "))
             }
+            Warning::SeamsLeftOut { needed_bytes } => write!(
+                f,
+                "the scan does not fit the budget, so that its seams could not be held: what breaks off at them is left out \
+                 rather than smeared across them; --memory {} keeps it",
+                Size(needed_bytes)
+            ),
             Warning::NoPicture { ref why } => write!(f, "no picture was taken: {why}"),
             Warning::TrailingBytes { bytes } => write!(
                 f,

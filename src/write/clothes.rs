@@ -1,16 +1,20 @@
 //! What a mesh wears: materials and textures as files beside it or within it, and the mesh split where it has seams.
 
-use super::{WholeFile, is_stdout};
+use super::{Sink, WholeFile, is_stdout};
 use crate::error::{Error, Result};
-use crate::mesh::coat::{Coat, Dress};
+use crate::mesh::coat::{Bytes, Coat, Dress};
 use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, IndexedMesh};
 use crate::progress::Progress;
-use std::fs;
+use std::fs::{self, File};
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// The most that one library or texture may have to be carried along.
-const MOST_BYTES: u64 = 1 << 30;
+/// The most that one library may have to be carried along.
+const MOST_BYTES: u64 = 1 << 26;
+
+/// Bytes of a texture that are copied at a time.
+const PIECE_BYTES: usize = 1 << 16;
 
 /// A mesh's coat and what it was made of.
 #[derive(Debug, Clone, Copy)]
@@ -48,28 +52,99 @@ pub struct Material {
 }
 
 /// A picture.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Texture {
     /// As the library names it.
     pub name: String,
     /// Where it is.
-    pub path: PathBuf,
+    pub place: Bytes,
 }
 
 impl Texture {
-    /// Its type, if it is one that glTF holds.
+    /// Its type, if it is one that glTF holds: by what it begins with, and by its name where that tells nothing.
     pub fn mime(&self) -> Option<&'static str> {
-        let extension = self.path.extension()?.to_str()?.to_ascii_lowercase();
-        match extension.as_str() {
-            "png" => Some("image/png"),
-            "jpg" | "jpeg" => Some("image/jpeg"),
-            _ => None,
+        let mut head = [0; 8];
+        let length = self.length().ok()?.min(8) as usize;
+        self.read(&mut head[..length], 0).ok()?;
+        match head {
+            [0x89, b'P', b'N', b'G', ..] => Some("image/png"),
+            [0xff, 0xd8, 0xff, ..] => Some("image/jpeg"),
+            [b'R', b'I', b'F', b'F', ..] | [0xab, b'K', b'T', b'X', ..] | [b'D', b'D', b'S', ..] => None,
+            _ => {
+                let name = self.path().extension()?.to_str()?.to_ascii_lowercase();
+                let known = [("png", "image/png"), ("jpg", "image/jpeg"), ("jpeg", "image/jpeg")];
+                known.into_iter().find(|(extension, _)| *extension == name).map(|(_, mime)| mime)
+            }
         }
     }
 
-    /// Its bytes.
-    pub fn bytes(&self) -> Result<Vec<u8>> {
-        fs::read(&self.path).map_err(Error::io(&self.path, "cannot read this texture"))
+    fn path(&self) -> &Path {
+        if let Bytes::File(path) = &self.place { path } else { Path::new(&self.name) }
+    }
+
+    /// How many bytes it has.
+    pub fn length(&self) -> Result<u64> {
+        match &self.place {
+            Bytes::File(path) => fs::metadata(path).map(|m| m.len()).map_err(self.unreadable()),
+            Bytes::Part { length, .. } => Ok(*length),
+        }
+    }
+
+    fn unreadable(&self) -> impl FnOnce(std::io::Error) -> Error {
+        Error::io(self.path(), "cannot read this texture")
+    }
+
+    fn read(&self, bytes: &mut [u8], from: u64) -> Result<()> {
+        match &self.place {
+            Bytes::File(path) => File::open(path).and_then(|file| file.read_exact_at(bytes, from)),
+            Bytes::Part { file, offset, length } if from + bytes.len() as u64 <= *length => {
+                file.read_exact_at(bytes, offset + from)
+            }
+            Bytes::Part { .. } => Err(std::io::ErrorKind::UnexpectedEof.into()),
+        }
+        .map_err(self.unreadable())
+    }
+
+    /// Hands over all of it, a piece at a time, each with where it begins, until one is refused.
+    pub fn pieces(&self, take: &mut dyn FnMut(&[u8], u64) -> Result<bool>) -> Result<()> {
+        let (length, mut done) = (self.length()?, 0);
+        let mut piece = vec![0; PIECE_BYTES.min(length as usize)];
+        while done < length {
+            let some = (length - done).min(PIECE_BYTES as u64) as usize;
+            self.read(&mut piece[..some], done)?;
+            if !take(&piece[..some], done)? {
+                break;
+            }
+            done += some as u64;
+        }
+        Ok(())
+    }
+
+    /// Whether a file is the same, byte for byte.
+    fn is_in(&self, path: &Path) -> bool {
+        let Ok(length) = self.length() else { return false };
+        let Ok(file) = File::open(path) else { return false };
+        if !file.metadata().is_ok_and(|m| m.is_file() && m.len() == length) {
+            return false;
+        }
+        let (mut other, mut same) = (Vec::new(), true);
+        let compared = self.pieces(&mut |piece, from| {
+            other.resize(piece.len(), 0);
+            same = file.read_exact_at(&mut other, from).is_ok() && other == piece;
+            Ok(same)
+        });
+        compared.is_ok() && same
+    }
+
+    /// The name of its file.
+    pub(super) fn file_name(&self) -> String {
+        let path = self.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        match (path.extension(), self.mime()) {
+            (None, Some("image/png")) => name + ".png",
+            (None, Some("image/jpeg")) => name + ".jpg",
+            _ => name,
+        }
     }
 }
 
@@ -103,7 +178,25 @@ impl Wardrobe {
             wardrobe.note(line, &mut current, folder, &mut missing);
         }
         wardrobe.text = text;
+        wardrobe.take_looks(coat);
+        missing.extend(coat.lost.iter().cloned());
         (wardrobe, missing)
+    }
+
+    /// Takes what the scan itself says of its materials, and says it as a library would.
+    fn take_looks(&mut self, coat: &Coat) {
+        let textures = coat.pictures.iter().map(|p| Texture { name: p.name.clone(), place: p.place.clone() });
+        let first = self.textures.len();
+        self.textures.extend(textures);
+        for (material, look) in self.materials.iter_mut().zip(&coat.looks) {
+            (material.colour, material.alpha) = (look.colour, look.alpha);
+            material.texture = look.picture.map(|picture| first + picture);
+            let [r, g, b] = look.colour.map(|x| x as f32);
+            self.text += &format!("newmtl {}\nKd {r} {g} {b}\nd {}\n", material.name, look.alpha as f32);
+            if let Some(texture) = material.texture {
+                self.text += &format!("map_Kd {}\n", self.textures[texture].name);
+            }
+        }
     }
 
     fn note(&mut self, line: &str, current: &mut Option<usize>, folder: &Path, missing: &mut Vec<String>) {
@@ -117,8 +210,8 @@ impl Wardrobe {
             let known = self.textures.iter().position(|t| t.name == name);
             let path = folder.join(name.replace('\\', "/"));
             let found = known.or_else(|| {
-                is_readable(&path).then(|| {
-                    self.textures.push(Texture { name: name.into(), path });
+                path.is_file().then(|| {
+                    self.textures.push(Texture { name: name.into(), place: Bytes::File(path) });
                     self.textures.len() - 1
                 })
             });
@@ -155,23 +248,14 @@ impl Wardrobe {
             return Ok(None);
         }
         let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let mut names = Vec::new();
-        for texture in &self.textures {
-            let name = texture.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let bytes = texture.bytes()?;
-            let taken = |name: &str| {
-                let path = folder(out).join(name);
-                let is = |found: Vec<u8>| found == bytes;
-                path.exists() && !(is_readable(&path) && fs::read(&path).is_ok_and(is))
-            };
-            let name = if taken(&name) { format!("{stem}_{name}") } else { name };
-            if !same(&folder(out).join(&name), &texture.path) {
-                WholeFile::prepare(&folder(out).join(&name), Some(&texture.path))?.write(&bytes, progress)?;
+        let names = self.lay_out_textures(out, progress)?;
+        let renamed = |line: &str| match texture_of(line)
+            .and_then(|t| self.textures.iter().position(|texture| texture.name == t))
+        {
+            Some(i) => {
+                let before = line.trim_end().strip_suffix(self.textures[i].name.as_str()).unwrap_or(line);
+                format!("{before}{}\n", names[i])
             }
-            names.push((texture.name.as_str(), name));
-        }
-        let renamed = |line: &str| match texture_of(line).and_then(|t| names.iter().find(|(old, _)| *old == t)) {
-            Some((old, new)) => format!("{}{new}\n", line.trim_end().strip_suffix(old).unwrap_or(line)),
             None => format!("{line}\n"),
         };
         let text: String = self.text.lines().map(renamed).collect();
@@ -179,6 +263,36 @@ impl Wardrobe {
         let library = coat.libraries.first().map(|library| folder(scan).join(library));
         WholeFile::prepare(&folder(out).join(&name), library.as_deref())?.write(text.as_bytes(), progress)?;
         Ok(Some(name))
+    }
+
+    /// The textures that a PLY is to name, which has no materials: if there is one for all faces, or one for each number
+    /// that faces have for it.
+    pub fn as_ply(&self, coat: &Coat) -> Option<Vec<usize>> {
+        let textures: Option<Vec<usize>> = self.materials.iter().map(|material| material.texture).collect();
+        let numbered = coat.face_columns.iter().any(|column| column.name == "texnumber");
+        textures.filter(|all| all.len() == 1 || numbered && !all.is_empty())
+    }
+
+    /// Puts the textures beside a file that is about to be written; the names that they have there.
+    pub(super) fn lay_out_textures(&self, out: &Path, progress: &Progress) -> Result<Vec<String>> {
+        let folder = out.parent().unwrap_or(Path::new(""));
+        let stem = out.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut names: Vec<String> = Vec::new();
+        for texture in &self.textures {
+            let name = texture.file_name();
+            let other = |name: &String| {
+                names.contains(name) || folder.join(name).exists() && !texture.is_in(&folder.join(name))
+            };
+            let name = if other(&name) { format!("{stem}_{name}") } else { name };
+            let path = folder.join(&name);
+            if !texture.is_in(&path) {
+                let own = if let Bytes::File(own) = &texture.place { Some(own.as_path()) } else { None };
+                let copy = |sink: &mut Sink<'_, &File>| texture.pieces(&mut |piece, _| sink.put(piece).map(|()| true));
+                WholeFile::prepare(&path, own)?.write_by(progress, copy)?;
+            }
+            names.push(name);
+        }
+        Ok(names)
     }
 }
 

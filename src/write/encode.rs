@@ -2,7 +2,7 @@
 
 use super::{Clothes, Format, Sink, glb, text};
 use crate::error::{Error, Result};
-use crate::mesh::coat::{Coat, Dress};
+use crate::mesh::coat::{Coat, Dress, is_spare};
 use crate::mesh::columns::{Column, Columns};
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use glam::DVec3;
@@ -29,38 +29,55 @@ pub(crate) struct Contents<'a, S> {
     pub frame: Frame,
     /// What vertices carry: of no columns, or for every vertex.
     pub carried: &'a Columns,
+    /// What faces carry beside it: of no columns, or for every face.
+    pub of_faces: &'a Columns,
     /// What corners and faces carry, if they do.
     pub clothes: Option<Clothes<'a>>,
     /// What an OBJ is to call its library.
     pub library: Option<&'a str>,
+    /// What a PLY is to call its textures.
+    pub textures: &'a [String],
 }
 
 impl<'a, S> Contents<'a, S> {
-    /// What says which numbers faces have, if they have any.
-    pub(super) fn labels(&self) -> Option<(&'a Dress, &'a Coat)> {
+    /// What says which labels faces have, if they have any.
+    fn labels(&self) -> Option<(&'a Dress, &'a Coat)> {
         self.clothes.map(|c| (c.dress, c.coat)).filter(|(_, coat)| !coat.face_columns.is_empty())
     }
 
-    /// The same where the number is one that fits an STL's two bytes.
-    fn spare(&self) -> Option<(&'a Dress, &'a Coat)> {
-        self.labels().filter(|(_, coat)| coat.is_spare())
+    /// The numbers that faces have.
+    pub(super) fn face_columns(&self) -> Vec<Column> {
+        let labels = self.labels().map_or(&[][..], |(_, coat)| &coat.face_columns);
+        labels.iter().chain(&self.of_faces.columns).cloned().collect()
     }
-}
 
-/// The two bytes of a patch.
-fn spare_bytes(coat: &Coat, patch: u32) -> [u8; 2] {
-    let bits = coat.patches[patch as usize].labels.first().copied().unwrap_or(0);
-    (f64::from_bits(bits) as u16).to_le_bytes()
+    /// Those of one face.
+    pub(super) fn face_values(&self, face: usize, values: &mut Vec<f64>) {
+        values.clear();
+        if let Some((dress, coat)) = self.labels() {
+            let labels = &coat.patches[dress.patches[face] as usize].labels;
+            values.extend(labels.iter().map(|bits| f64::from_bits(*bits)));
+        }
+        if !self.of_faces.columns.is_empty() {
+            values.extend(self.of_faces.of(face));
+        }
+    }
 }
 
 impl Header {
     /// The header's bytes; refuses counts that the format cannot hold.
     pub(crate) fn bytes(&self, path: &Path) -> Result<Vec<u8>> {
-        self.bytes_with(path, &[], &[])
+        self.bytes_with(path, &[], &[], &[])
     }
 
     /// The same where vertices carry numbers.
-    pub(super) fn bytes_with(&self, path: &Path, carried: &[Column], of_faces: &[Column]) -> Result<Vec<u8>> {
+    pub(super) fn bytes_with(
+        &self,
+        path: &Path,
+        carried: &[Column],
+        of_faces: &[Column],
+        textures: &[String],
+    ) -> Result<Vec<u8>> {
         let largest = u64::from(u32::MAX);
         let (what, count, remedy) = match self.format {
             Format::Ply | Format::PlyAscii => ("vertices", self.vertices, ""),
@@ -73,14 +90,14 @@ impl Header {
             return Err(Error::usage(what));
         }
         Ok(match self.format {
-            Format::Ply | Format::PlyAscii => self.ply(carried, of_faces).into_bytes(),
+            Format::Ply | Format::PlyAscii => self.ply(carried, of_faces, textures).into_bytes(),
             Format::Stl => self.stl(count as u32),
             Format::Obj => format!("# meshmill {}\n", env!("CARGO_PKG_VERSION")).into_bytes(),
             Format::Glb | Format::GlbQuantised => Vec::new(),
         })
     }
 
-    fn ply(&self, carried: &[Column], of_faces: &[Column]) -> String {
+    fn ply(&self, carried: &[Column], of_faces: &[Column], textures: &[String]) -> String {
         let scalar = if self.double { "double" } else { "float" };
         // Readers that know `int` alone are many; `uint` only where it must be.
         let index = if self.vertices > 1 << 31 { "uint" } else { "int" };
@@ -88,9 +105,10 @@ impl Header {
             columns.iter().map(|c| format!("property {} {}\n", c.number.word(), c.name)).collect()
         };
         let (carried, of_faces) = (list(carried), list(of_faces));
+        let textures: String = textures.iter().map(|name| format!("comment TextureFile {name}\n")).collect();
         let encoding = if self.format == Format::PlyAscii { "ascii" } else { "binary_little_endian" };
         format!(
-            "ply\nformat {encoding} 1.0\ncomment meshmill {}\n\
+            "ply\nformat {encoding} 1.0\ncomment meshmill {}\n{textures}\
              element vertex {}\nproperty {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n{carried}\
              element face {}\nproperty list uchar {index} vertex_indices\n{of_faces}end_header\n",
             env!("CARGO_PKG_VERSION"),
@@ -168,8 +186,7 @@ pub(crate) fn encode<S: Coordinate, W: Write>(
     path: &Path,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    let of_faces = contents.labels().map_or(&[][..], |(_, coat)| &coat.face_columns);
-    sink.put(&header.bytes_with(path, &contents.carried.columns, of_faces)?)?;
+    sink.put(&header.bytes_with(path, &contents.carried.columns, &contents.face_columns(), contents.textures)?)?;
     match header.format {
         Format::Ply => ply(contents, sink),
         Format::Stl => stl(contents, path, sink),
@@ -199,13 +216,16 @@ fn ply<S: Coordinate, W: Write>(contents: &Contents<'_, S>, sink: &mut Sink<'_, 
     } else {
         sink.put_each(&mesh.positions, |p| Ok(ply_vertex(p.map(|x| back(x) as f32))))?;
     }
-    let Some((dress, coat)) = contents.labels() else { return sink.put_each(&mesh.faces, |&face| Ok(ply_face(face))) };
-    let mut record = Vec::with_capacity(64);
-    for (face, patch) in mesh.faces.iter().zip(&dress.patches) {
+    let columns = contents.face_columns();
+    if columns.is_empty() {
+        return sink.put_each(&mesh.faces, |&face| Ok(ply_face(face)));
+    }
+    let (mut record, mut values) = (Vec::with_capacity(64), Vec::new());
+    for (f, face) in mesh.faces.iter().enumerate() {
         record.clear();
         record.extend(ply_face(*face));
-        let labels = &coat.patches[*patch as usize].labels;
-        coat.face_columns.iter().zip(labels).for_each(|(c, bits)| c.number.put(f64::from_bits(*bits), &mut record));
+        contents.face_values(f, &mut values);
+        columns.iter().zip(&values).for_each(|(c, x)| c.number.put(*x, &mut record));
         sink.put(&record)?;
     }
     Ok(())
@@ -223,10 +243,14 @@ fn stl<S: Coordinate, W: Write>(contents: &Contents<'_, S>, path: &Path, sink: &
         }
         Ok(stl_facet((b - a).cross(c - a), corners))
     };
-    let Some((dress, coat)) = contents.spare() else { return sink.put_each(&mesh.faces, facet) };
-    for (face, patch) in mesh.faces.iter().zip(&dress.patches) {
+    if !is_spare(&contents.face_columns()) {
+        return sink.put_each(&mesh.faces, facet);
+    }
+    let mut values = Vec::new();
+    for (f, face) in mesh.faces.iter().enumerate() {
         let mut record = facet(face)?;
-        record[48..].copy_from_slice(&spare_bytes(coat, *patch));
+        contents.face_values(f, &mut values);
+        record[48..].copy_from_slice(&(values[0] as u16).to_le_bytes());
         sink.put(&record)?;
     }
     Ok(())
@@ -250,7 +274,9 @@ mod tests {
         let header =
             Header { format, double: S::DOUBLE, vertices: mesh.positions.len() as u64, faces: mesh.faces.len() as u64 };
         let mut sink = Sink::new(&mut out, Path::new("x"), &progress);
-        let contents = Contents { mesh, frame, carried: &Columns::default(), clothes: None, library: None };
+        let none = Columns::default();
+        let contents =
+            Contents { mesh, frame, carried: &none, of_faces: &none, clothes: None, library: None, textures: &[] };
         encode(&contents, &header, Path::new("x"), &mut sink)?;
         sink.finish()?;
         assert_eq!(out.len() as u64, header.bytes(Path::new("x"))?.len() as u64 + header.element_bytes());

@@ -6,7 +6,7 @@
 //! the file. Axes are as the scan has them, though glTF takes y for up.
 
 use super::encode::Contents;
-use super::{Clothes, Format, Sink};
+use super::{Clothes, Format, Sink, Texture};
 use crate::error::{Error, Result};
 use crate::mesh::columns::{Columns, Meaning};
 use crate::mesh::{Coordinate, Extent, widen};
@@ -155,8 +155,8 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     let mut image_views = Vec::new();
     for (_, _, bytes) in &images {
         image_views.push(views.len());
-        views.push(json!({ "buffer": 0, "byteOffset": end, "byteLength": bytes.len() }));
-        end += (bytes.len() as u64).next_multiple_of(4);
+        views.push(json!({ "buffer": 0, "byteOffset": end, "byteLength": bytes }));
+        end += bytes.next_multiple_of(4);
     }
     let primitives: Vec<Value> = (parts.runs.iter().enumerate())
         .map(|(i, (material, ..))| {
@@ -212,9 +212,8 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     }
     sink.put(&[0; 4][..(index_room - index_bytes) as usize])?;
     shades.put(carried, vertices, sink)?;
-    for (_, _, bytes) in &images {
-        sink.put(bytes)?;
-        sink.put(&[0; 4][..bytes.len().next_multiple_of(4) - bytes.len()])?;
+    for ((at, _, bytes), Clothes { wardrobe, .. }) in images.iter().zip(clothes.into_iter().cycle()) {
+        put_image(&wardrobe.textures[*at], *bytes, sink)?;
     }
     Ok(())
 }
@@ -227,8 +226,8 @@ struct Parts {
     runs: Vec<(Option<u32>, usize, usize)>,
 }
 
-/// The number of a texture, its type and its bytes.
-type Image = (usize, &'static str, Vec<u8>);
+/// The number of a texture, its type and how many bytes it has.
+type Image = (usize, &'static str, u64);
 
 impl Parts {
     fn of(faces: usize, clothes: Option<Clothes<'_>>) -> Parts {
@@ -255,11 +254,26 @@ impl Parts {
         for material in self.runs.iter().filter_map(|run| wardrobe.materials.get(run.0? as usize)) {
             let Some(at) = material.texture.filter(|at| images.iter().all(|image| image.0 != *at)) else { continue };
             if let Some(mime) = wardrobe.textures[at].mime() {
-                images.push((at, mime, wardrobe.textures[at].bytes()?));
+                images.push((at, mime, wardrobe.textures[at].length()?));
             }
         }
         Ok(images)
     }
+}
+
+/// Puts a texture, of which so many bytes were promised.
+fn put_image<W: Write>(texture: &Texture, bytes: u64, sink: &mut Sink<'_, W>) -> Result<()> {
+    let mut put = 0;
+    texture.pieces(&mut |piece, _| {
+        put += piece.len() as u64;
+        sink.put(&piece[..piece.len() - put.saturating_sub(bytes).min(piece.len() as u64) as usize])
+            .map(|()| put < bytes)
+    })?;
+    if put < bytes {
+        let what = format!("had {bytes} bytes a moment ago, but has {put} now");
+        return Err(Error::input(Path::new(&texture.name), what));
+    }
+    sink.put(&[0; 4][..(bytes.next_multiple_of(4) - bytes) as usize])
 }
 
 /// What the document says of materials and textures.
@@ -279,7 +293,7 @@ fn materials(document: &mut Value, clothes: Option<Clothes<'_>>, images: &[Image
     };
     document["materials"] = wardrobe.materials.iter().map(material).collect();
     if !images.is_empty() {
-        let image = |((_, mime, _), view): (&Image, &usize)| json!({ "bufferView": view, "mimeType": mime });
+        let image = |((at, mime, _), view): (&Image, &usize)| json!({ "name": wardrobe.textures[*at].file_name(), "bufferView": view, "mimeType": mime });
         document["images"] = images.iter().zip(views).map(image).collect();
         document["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497 }]);
         document["textures"] = (0..images.len()).map(|i| json!({ "source": i, "sampler": 0 })).collect();

@@ -23,10 +23,21 @@ pub(crate) use sink::Sink;
 pub use target::{Target, WholeFile, is_stdout, sweep};
 
 use crate::error::{Error, Result};
-use crate::mesh::coat::Coat;
-use crate::mesh::columns::Meaning;
+use crate::mesh::coat::is_spare;
+use crate::mesh::columns::{Column, Columns, Meaning};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+
+/// What a mesh has to carry beside its shape, as far as the format holds it.
+#[derive(Debug, Clone, Copy)]
+pub struct Load<'a> {
+    /// Of vertices: of no columns, or for each.
+    pub vertices: &'a Columns,
+    /// Of faces, beside what the clothes say: of no columns, or for each.
+    pub faces: &'a Columns,
+    /// What the mesh wears, and the scan beside which it was found.
+    pub clothes: Option<(Clothes<'a>, &'a Path)>,
+}
 
 /// What can be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,16 +97,21 @@ impl Format {
         self == Format::Obj && matches!(meaning, Meaning::Texture(_) | Meaning::Normal(_)) || self.holds(meaning)
     }
 
+    /// Whether it is one of PLY's.
+    pub fn is_ply(self) -> bool {
+        matches!(self, Format::Ply | Format::PlyAscii)
+    }
+
     /// Whether it says what faces are made of.
     pub fn holds_materials(self) -> bool {
         matches!(self, Format::Obj | Format::Glb | Format::GlbQuantised)
     }
 
     /// Whether it has a place for these numbers of faces.
-    pub fn holds_labels(self, coat: &Coat) -> bool {
+    pub fn holds_labels(self, of_faces: &[Column]) -> bool {
         match self {
             Format::Ply | Format::PlyAscii => true,
-            Format::Stl => coat.is_spare(),
+            Format::Stl => is_spare(of_faces),
             Format::Obj | Format::Glb | Format::GlbQuantised => false,
         }
     }

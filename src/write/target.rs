@@ -2,7 +2,7 @@
 
 use super::clothes::split;
 use super::encode::{Contents, Header, encode};
-use super::{Clothes, Format, Sink};
+use super::{Clothes, Format, Load, Sink};
 use crate::error::{Error, Result};
 use crate::mesh::columns::Columns;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
@@ -83,7 +83,8 @@ impl Target {
 
     /// Writes `mesh` in the file's units and puts it in the target's place; the number of bytes.
     pub fn write_mesh<S: Coordinate>(self, mesh: &IndexedMesh<S>, frame: Frame, progress: &Progress) -> Result<u64> {
-        self.write_carrying(mesh, frame, &Columns::default(), None, progress)
+        let nothing = Columns::default();
+        self.write_carrying(mesh, frame, Load { vertices: &nothing, faces: &nothing, clothes: None }, progress)
     }
 
     /// The same with what its vertices carry, and what it wears, as far as the format holds it.
@@ -91,17 +92,22 @@ impl Target {
         self,
         mesh: &IndexedMesh<S>,
         frame: Frame,
-        carried: &Columns,
-        clothes: Option<(Clothes<'_>, &Path)>,
+        Load { vertices: carried, faces: of_faces, clothes }: Load<'_>,
         progress: &Progress,
     ) -> Result<u64> {
-        let mut library = None;
+        let (mut library, mut textures) = (None, Vec::new());
         let apart;
         let (mut mesh, mut carried) = (mesh, carried);
         if let Some((Clothes { dress, coat, wardrobe }, scan)) = clothes {
             if self.format == Format::Obj {
                 library = wardrobe.lay_out(&self.whole.path, scan, coat, progress)?;
             } else if dress.splits(self.format == Format::Stl) {
+                if let Some(order) =
+                    wardrobe.as_ply(coat).filter(|_| self.format.is_ply() && !is_stdout(&self.whole.path))
+                {
+                    let names = wardrobe.lay_out_textures(&self.whole.path, progress)?;
+                    textures = order.into_iter().map(|texture| names[texture].clone()).collect();
+                }
                 apart = split(mesh, carried, dress);
                 (mesh, carried) = (&apart.0, &apart.1);
             }
@@ -115,7 +121,8 @@ impl Target {
         progress.begin(Stage::Write, header.element_bytes());
         let path = self.whole.path.clone();
         let clothes = clothes.map(|(clothes, _)| clothes);
-        let contents = Contents { mesh, frame, carried, clothes, library: library.as_deref() };
+        let contents =
+            Contents { mesh, frame, carried, of_faces, clothes, library: library.as_deref(), textures: &textures };
         self.write_by(progress, |sink| encode(&contents, &header, &path, sink))
     }
 

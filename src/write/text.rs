@@ -31,13 +31,22 @@ impl<S: Coordinate> fmt::Display for Digits<S> {
     }
 }
 
+/// A number behind a space.
+fn put(number: Number, value: f64, line: &mut Vec<u8>) {
+    let _ = match number {
+        Number::F64 => write!(line, " {}", Digits(value)),
+        Number::F32 => write!(line, " {}", Digits(value as f32)),
+        _ => write!(line, " {}", value as i64),
+    };
+}
+
 /// Vertices and faces, behind the header.
 pub(super) fn elements<S: Coordinate, W: Write>(
     contents: &Contents<'_, S>,
     format: Format,
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
-    let Contents { mesh, frame, carried, clothes, library } = *contents;
+    let Contents { mesh, frame, carried, clothes, library, .. } = *contents;
     let colour = if format == Format::Obj { carried.find::<3>(Meaning::Colour) } else { None };
     let (vertex, face, base) = if format == Format::Obj { ("v ", "f", 1) } else { ("", "3", 0) };
     let mut line = Vec::with_capacity(128);
@@ -55,11 +64,7 @@ pub(super) fn elements<S: Coordinate, W: Write>(
             }
         } else if format == Format::PlyAscii {
             for (column, value) in carried.columns.iter().zip(carried.of(v)) {
-                let _ = match column.number {
-                    Number::F64 => write!(line, " {}", Digits(*value)),
-                    Number::F32 => write!(line, " {}", Digits(*value as f32)),
-                    _ => write!(line, " {}", *value as i64),
-                };
+                put(column.number, *value, &mut line);
             }
         }
         line.push(b'\n');
@@ -68,15 +73,15 @@ pub(super) fn elements<S: Coordinate, W: Write>(
     if let Some(clothes) = clothes.filter(|_| format == Format::Obj) {
         return dressed(contents, &clothes, sink);
     }
-    let labels = contents.labels().filter(|_| format == Format::PlyAscii);
+    let columns = if format == Format::PlyAscii { contents.face_columns() } else { Vec::new() };
+    let mut values = Vec::new();
     for (f, corners) in mesh.faces.iter().enumerate() {
         let [a, b, c] = corners.map(|v| u64::from(v) + base);
         line.clear();
         let _ = write!(line, "{face} {a} {b} {c}");
-        if let Some((dress, coat)) = labels {
-            for bits in &coat.patches[dress.patches[f] as usize].labels {
-                let _ = write!(line, " {}", f64::from_bits(*bits) as i64);
-            }
+        if !columns.is_empty() {
+            contents.face_values(f, &mut values);
+            columns.iter().zip(&values).for_each(|(column, x)| put(column.number, *x, &mut line));
         }
         line.push(b'\n');
         sink.put(&line)?;

@@ -194,3 +194,50 @@ fn the_spare_bytes_of_an_stl_come_through() {
     let (_, text) = reduce(&folder, "scan.stl", &["--faces", "300"]);
     assert!(text.contains("property ushort attribute\n"));
 }
+
+/// A normal that says more than the shape: ripples as on a field that was smoothed.
+fn rippled([x, y, _]: [f64; 3]) -> [f64; 3] {
+    let slope = 0.8 * (x / 7.0).sin() + 0.4 * (y / 23.0).cos();
+    let length = slope.hypot(1.0);
+    [slope / length, 0.0, 1.0 / length]
+}
+
+#[test]
+fn normals_steer() {
+    let folder = Folder::new();
+    let mesh = field(120, 90);
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\nelement face {}\n\
+         property list uchar int vertex_indices\nend_header\n",
+        mesh.positions.len(),
+        mesh.faces.len()
+    );
+    for p in &mesh.positions {
+        let [nx, ny, nz] = rippled(*p);
+        text += &format!("{} {} {} {nx} {ny} {nz}\n", p[0], p[1], p[2]);
+    }
+    mesh.faces.iter().for_each(|[a, b, c]| text += &format!("3 {a} {b} {c}\n"));
+    folder.file("scan.ply", text);
+    // The squared error of normals in the middle of faces, by area.
+    let error = |args: &[&str]| {
+        let (report, text) = reduce(&folder, "scan.ply", &[&["--faces", "1200"], args].concat());
+        assert_eq!(report["warnings"], Value::Array(Vec::new()));
+        let (_, body) = text.split_once("end_header\n").unwrap();
+        let vertices = report["output"]["vertices"].as_u64().unwrap() as usize;
+        let numbers = |line: &str| line.split(' ').map(|x| x.parse::<f64>().unwrap()).collect::<Vec<_>>();
+        let lines: Vec<Vec<f64>> = body.lines().map(numbers).collect();
+        let (mut sum, mut all) = (0.0, 0.0);
+        for face in &lines[vertices..] {
+            let [a, b, c] = [1, 2, 3].map(|i| &lines[face[i] as usize]);
+            let area = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs();
+            let mean: [f64; 6] = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
+            let expected = rippled([mean[0], mean[1], 0.0]);
+            sum += area * (0..3).map(|i| (mean[3 + i] - expected[i]).powi(2)).sum::<f64>();
+            all += area;
+        }
+        sum / all
+    };
+    let (without, with) = (error(&["--normal-weight", "0"]), error(&[]));
+    assert!(with < 0.7 * without, "{with} {without}");
+}

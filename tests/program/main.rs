@@ -12,6 +12,7 @@ mod formats;
 mod inspect;
 mod interrupt;
 mod job;
+mod materials;
 mod memory;
 mod models;
 mod night;
@@ -24,6 +25,7 @@ mod support;
 mod thesis;
 mod tiled;
 mod uneven;
+mod votes;
 
 /// A budget in which scans of 100,000 faces and more go out of core.
 const TIGHT: &str = "24MiB";

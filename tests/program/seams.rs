@@ -209,4 +209,9 @@ fn a_glb_is_read_back_with_its_seams() {
     assert_eq!(report["warnings"], Value::Array(Vec::new()));
     let found = faces(&std::fs::read_to_string(folder.path("small.obj")).unwrap());
     assert!(check(&found, false) > 200 && found.len() >= 398);
+    for face in &found {
+        let is_lid = face.at.iter().all(|p| p[2] < 1e-6) || face.at.iter().all(|p| p[2] > 3.0 - 1e-6);
+        assert_eq!(face.material, if is_lid { "tin" } else { "label" });
+    }
+    assert!(std::fs::read_to_string(folder.path("small.mtl")).unwrap().contains("map_Kd label.png\n"));
 }
