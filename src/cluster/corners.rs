@@ -119,7 +119,7 @@ pub(super) fn bin_vertices(
     spill: &Spill,
 ) -> Result<()> {
     let bin = |p: &[f64; 3], last: &mut LastBlock| match grid.steps(*p) {
-        Some(steps) => Corner::new(table.number_near(steps, last).unwrap_or(0), steps),
+        Some(steps) => Corner::new(table.number(steps, last).unwrap_or(0), steps),
         None => Corner::NOWHERE,
     };
     scan.vertices(crew, Vec::new, |corners: &mut Vec<Corner>, chunk| {
@@ -199,8 +199,8 @@ fn soup<'u, K: Sink>(
     used: &'u Used,
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<'u, K>>> {
-    let bin = |p: [f64; 3]| match grid.steps(p) {
-        Some(steps) => table.number(steps).map(|cell| Corner::new(cell, steps)),
+    let bin = |p: [f64; 3], last: &mut LastBlock| match grid.steps(p) {
+        Some(steps) => table.number(steps, last).map(|cell| Corner::new(cell, steps)),
         None => Some(Corner::NOWHERE),
     };
     scan.soup(
@@ -210,10 +210,11 @@ fn soup<'u, K: Sink>(
             if table.is_full() {
                 return Ok(());
             }
+            let last = &mut LastBlock::default();
             for (i, &[a, b, c]) in chunk.triangles.iter().enumerate() {
                 if a == b || b == c || c == a {
                     feed.repeated += 1;
-                } else if let (Some(a), Some(b), Some(c)) = (bin(a), bin(b), bin(c)) {
+                } else if let (Some(a), Some(b), Some(c)) = (bin(a, last), bin(b, last), bin(c, last)) {
                     let face = [a, b, c];
                     match face.iter().position(|corner| *corner == Corner::NOWHERE) {
                         None => feed.push(face),

@@ -71,25 +71,15 @@ impl CellTable {
         self.full.load(Relaxed)
     }
 
-    /// The number of the cell that holds a position, given out now if it is new; `None` when there is no room.
+    /// The number of the cell that holds a position, given out now if it is new; `None` when there is no room. Sooner
+    /// where the position before was in the same block.
     #[inline(always)]
-    pub(super) fn number(&self, s: Steps) -> Option<u32> {
-        self.number_in(self.slot(block_key(s) + 1)?, s)
-    }
-
-    /// The same, sooner where the position before was in the same block.
-    #[inline(always)]
-    pub(super) fn number_near(&self, s: Steps, last: &mut LastBlock) -> Option<u32> {
+    pub(super) fn number(&self, s: Steps, last: &mut LastBlock) -> Option<u32> {
         let key = block_key(s) + 1;
         if last.key != key {
             *last = LastBlock { key, slot: self.slot(key)? };
         }
-        self.number_in(last.slot, s)
-    }
-
-    #[inline(always)]
-    fn number_in(&self, slot: usize, s: Steps) -> Option<u32> {
-        let entry = &self.numbers[slot * 64 + place_in_block(s)];
+        let entry = &self.numbers[last.slot * 64 + place_in_block(s)];
         match entry.load(Acquire) {
             0 | PENDING | REFUSED => self.hand_out(entry, cell_key(s)),
             number => Some(number - 1),
@@ -269,13 +259,17 @@ mod tests {
         [x << LOCAL_BITS, y << LOCAL_BITS, z << LOCAL_BITS]
     }
 
+    fn number(table: &CellTable, s: Steps) -> Option<u32> {
+        table.number(s, &mut LastBlock::default())
+    }
+
     #[test]
     fn a_cell_keeps_its_number_and_key() {
         let table = CellTable::new(100);
         let cells = [at(0, 0, 0), at(3, 3, 3), at(4, 0, 0), at(2_000_000, 5, 1_999_999), at(0, 0, 1)];
-        let numbers = cells.map(|s| table.number(s).unwrap());
+        let numbers = cells.map(|s| number(&table, s).unwrap());
         assert_eq!(numbers, [0, 1, 2, 3, 4]);
-        assert_eq!(cells.map(|s| table.number(s).unwrap()), numbers);
+        assert_eq!(cells.map(|s| number(&table, s).unwrap()), numbers);
         for (s, n) in cells.into_iter().zip(numbers) {
             assert_eq!(table.key(n), cell_key(s));
         }
@@ -286,15 +280,15 @@ mod tests {
     fn it_is_full_when_a_cell_or_a_block_has_no_room_and_not_before() {
         let table = CellTable::new(20);
         for x in 0..20 {
-            assert!(table.number(at(x, 0, 0)).is_some() && !table.is_full());
+            assert!(number(&table, at(x, 0, 0)).is_some() && !table.is_full());
         }
-        assert!(table.number(at(20, 0, 0)).is_none() && table.is_full());
+        assert!(number(&table, at(20, 0, 0)).is_none() && table.is_full());
 
         let table = CellTable::new(20);
         for x in 0..18 {
-            assert!(table.number(at(8 * x, 0, 0)).is_some() && !table.is_full());
+            assert!(number(&table, at(8 * x, 0, 0)).is_some() && !table.is_full());
         }
-        assert!(table.number(at(8 * 18, 0, 0)).is_none() && table.is_full());
+        assert!(number(&table, at(8 * 18, 0, 0)).is_none() && table.is_full());
     }
 
     #[test]
@@ -305,7 +299,7 @@ mod tests {
             std::thread::scope(|scope| {
                 for w in 0..workers {
                     let (table, cells) = (&table, &cells);
-                    scope.spawn(move || (w * 1000..w * 1000 + 5000).for_each(|i| _ = table.number(cells[i % 5000])));
+                    scope.spawn(move || (w * 1000..w * 1000 + 5000).for_each(|i| _ = number(table, cells[i % 5000])));
                 }
             });
             let mut of: Vec<_> = table.ranks().into_iter().zip(0..).map(|(r, n)| (r, table.key(n))).collect();
