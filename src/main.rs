@@ -18,6 +18,7 @@ use cli::{BenchArgs, BenchCommand, Cli, Command, CompareArgs, InspectArgs, Rende
 use meshmill::bench::{Table63Options, table_6_3};
 use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile, RenderingSaid, cores};
 use meshmill::progress::Progress;
+use meshmill::queue::this_program;
 use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
 use meshmill::write::{WholeFile, is_stdout};
 use meshmill::{Error, Result, pipeline, synth};
@@ -123,23 +124,17 @@ fn thesis_models() -> Option<PathBuf> {
 
 fn bench(args: BenchArgs) -> ExitCode {
     let BenchCommand::Table63(args) = args.command;
-    let program = match std::env::current_exe() {
-        Ok(program) => program,
-        Err(error) => {
-            return conclude(Err(Error::io(Path::new("/proc/self/exe"), "cannot be found")(error)), args.json);
-        }
-    };
-    let options = Table63Options {
-        program,
-        models: args.models.or_else(thesis_models),
-        continued: args.continued.iter().map(|faces| faces.0).collect(),
-        memory: args.memory,
-        threads: args.threads.map_or_else(cores, |threads| threads.0),
-        runs: args.runs.into(),
-        scratch: args.scratch,
-        most_faces: args.most_faces.map_or(u64::MAX, |faces| faces.0),
-    };
     let outcome = working(|progress| {
+        let options = Table63Options {
+            program: this_program()?,
+            models: args.models.clone().or_else(thesis_models),
+            continued: args.continued.iter().map(|faces| faces.0).collect(),
+            memory: args.memory,
+            threads: args.threads.map_or_else(cores, |threads| threads.0),
+            runs: args.runs.into(),
+            scratch: args.scratch.clone(),
+            most_faces: args.most_faces.map_or(u64::MAX, |faces| faces.0),
+        };
         let files = match &args.output {
             Some(folder) => {
                 let file = |name: &str| WholeFile::prepare(&folder.join(name), None);

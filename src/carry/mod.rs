@@ -1,16 +1,16 @@
 //! What the scan's vertices carry, carried over to the result: colours, normals, and every other number.
 //!
-//! Each vertex of the scan names a value at the place of the result that it is nearest to. The result's vertices get the
-//! values whose interpolation over its faces comes closest to all of those, in the sense of least squares: closer than any
-//! value that a vertex could pick up where it is, and whatever the collapse and the refit did to positions. A little
-//! smoothing settles what no vertex of the scan lies on. Colours and all else stay within what the scan has; integers
-//! are rounded, normals made unit.
+//! Each vertex of the scan names a value at the place of the result that it is nearest to. The result's vertices get
+//! the values whose interpolation over its faces comes closest to all of those, in the sense of least squares: closer
+//! than any value that a vertex could pick up where it is, and whatever the collapse and the refit did to positions. A
+//! little smoothing settles what no vertex of the scan lies on. Colours and all else stay within what the scan has;
+//! integers are rounded, normals made unit.
 //!
-//! The scan is streamed, at most [`SAMPLES`] of its vertices for each of the result's, so this works for a scan of any size
-//! and on the result of clustering too. [`shades`] gives
-//! the collapse the colours and normals of a scan that fits the budget, to steer by, [`mean_shades`] those of a clustered one; every other
-//! number is carried as well as the mesh that shape asks for can show it. What corners and faces carry is in `coat`, and in
-//! `votes` where it has no borders to hold.
+//! The scan is streamed, at most [`SAMPLES`] of its vertices for each of the result's, so this works for a scan of any
+//! size and on the result of clustering too. [`shades`] gives the collapse the colours and normals of a scan that fits
+//! the budget, to steer by, [`mean_shades`] those of a clustered one; every other number is carried as well as the mesh
+//! that shape asks for can show it. What corners and faces carry is in `coat`, and in `votes` where it has no borders
+//! to hold.
 //!
 //! **Memory** ([`bytes`]): beside the result, its tree, 36 bytes a face and 8 a vertex and column in hand; columns are
 //! taken [`BATCH`] at a time. Sums are of integers, so threads change nothing.

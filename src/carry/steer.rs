@@ -2,7 +2,7 @@
 
 use super::{Pick, Places};
 use crate::error::Result;
-use crate::mesh::adjacency::{Stars, parts};
+use crate::mesh::adjacency::Stars;
 use crate::mesh::columns::{Column, Meaning};
 use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh, Shades, Tree};
 use crate::progress::Stage;
@@ -35,8 +35,8 @@ impl Steer {
 /// diagonal, since that is how deviation grows with edges on what is smooth.
 const RANGE_LENGTH: f64 = 8.0;
 
-/// And so many times the scan's noise, which no result comes nearer than: without, colours of a scanner's mesh have no say
-/// at all. At most the faces that one of the result stands for, since what looks like noise may be fine shape.
+/// And so many times the scan's noise, which no result comes nearer than: without, colours of a scanner's mesh have no
+/// say at all. At most the faces that one of the result stands for, since what looks like noise may be fine shape.
 const NOISE_LENGTH: f64 = 16.0;
 
 /// Faces that are asked how far the next one is from their plane.
@@ -67,8 +67,7 @@ fn roughness<S: Coordinate>(mesh: &IndexedMesh<S>) -> f64 {
         let at = mesh.at(a);
         let Some(normal) = (mesh.at(b) - at).cross(mesh.at(c) - at).try_normalize() else { continue };
         for (u, v) in [(a, b), (b, c), (c, a)] {
-            let mut others = stars.of(u).iter().map(|&corner| parts(corner).0).filter(|g| *g != f);
-            let Some(g) = others.find(|g| mesh.faces[*g].contains(&v)) else { continue };
+            let Some(g) = stars.across(&mesh.faces, f, (u, v)) else { continue };
             let Some(w) = mesh.faces[g].into_iter().find(|w| *w != u && *w != v) else { continue };
             sum += (mesh.at(w) - at).dot(normal).abs();
             count += 1.0;

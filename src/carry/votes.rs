@@ -1,10 +1,10 @@
 //! What faces carry where it has no borders that could be held: colours that differ from face to face, measured numbers,
 //! and labels of a scan that does not fit the budget.
 //!
-//! Every face of the scan votes with its area for its numbers, at the face of the result that its middle is nearest to and
-//! that does not look the other way. Whole numbers are elected: the one that most of the area has, if any has most of
-//! it. Where elections have no winners, over the whole surface, colours are averaged instead, as fractions are anyway. A
-//! face that nobody votes for takes what a neighbour has.
+//! Every face of the scan votes with its area for its numbers, at the face of the result that its middle is nearest to
+//! and that does not look the other way. Whole numbers are elected: the one that most of the area has, if any has most
+//! of it. Where elections have no winners, over the whole surface, colours are averaged instead, as fractions are
+//! anyway. A face that nobody votes for takes what a neighbour has.
 //!
 //! Numbers wait on scratch while faces are brought their corners; at most [`VOTES`] faces of the scan for each of the
 //! result's are asked. One worker, so that the order of votes is the file's.

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-/// The star of every vertex, as one array: the corners at vertex `v` are `corners[first[v]..first[v + 1]]`, in face order.
-/// A corner is `4·face + side`, so that its parts come off by shifts. 12 bytes a face and 4 a vertex.
+/// The star of every vertex, as one array: the corners at vertex `v` are `corners[first[v]..first[v + 1]]`, in face
+/// order. A corner is `4·face + side`, so that its parts come off by shifts. 12 bytes a face and 4 a vertex.
 #[derive(Debug, Default)]
 pub struct Stars {
     first: Vec<u32>,
@@ -66,6 +66,11 @@ impl Stars {
     #[inline(always)]
     pub fn of(&self, v: u32) -> &[u32] {
         &self.corners[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
+    }
+
+    /// The face on the other side of an edge of face `f`; the first of more.
+    pub fn across(&self, faces: &[[u32; 3]], f: usize, (u, v): (u32, u32)) -> Option<usize> {
+        self.of(u).iter().map(|&corner| parts(corner).0).find(|&g| g != f && faces[g].contains(&v))
     }
 
     /// Gives the memory back.

@@ -1,7 +1,7 @@
 //! The workers of a run: processes, what they are told, and what is heard of them.
 
 use super::ledger::Fingerprint;
-use super::process::{rss_bytes, signal_name};
+use super::process::{rss_bytes, signal_name, this_program};
 use super::report::{OutputFile, Trouble};
 use crate::error::{Error, Result};
 use crate::job::JobFile;
@@ -76,7 +76,7 @@ pub(super) struct Worker {
 impl Worker {
     /// Starts one, of this same program, that speaks to `events`.
     pub(super) fn start(number: u64, folder: &Path, shard: &str, events: Sender<Event>) -> Result<Worker> {
-        let program = std::env::current_exe().map_err(Error::io(Path::new("/proc/self/exe"), "cannot be found"))?;
+        let program = this_program()?;
         let mut command = Command::new(&program);
         command.arg("worker").arg(folder).arg(format!("--shard-name={shard}"));
         // A process group of its own: Ctrl-C is for the run, which tells its workers.

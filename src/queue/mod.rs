@@ -33,7 +33,7 @@ pub use glance::Glance;
 pub use ledger::{Fingerprint, Ledger, Lock};
 pub use night::{Night, Watcher};
 pub use plan::{Plan, PlanOptions, Problem, Shard, Task, TaskFacts};
-pub use process::{reset_peak, rss_bytes};
+pub use process::{reset_peak, rss_bytes, this_program};
 pub use report::{NightReport, OutputFile, Row, Status, Totals, Trouble, merge};
 pub use schedule::{Running, Standing};
 pub use worker::work;

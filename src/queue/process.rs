@@ -1,5 +1,13 @@
 //! What the system says of processes.
 
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// The file of the program that runs.
+pub fn this_program() -> Result<PathBuf> {
+    std::env::current_exe().map_err(Error::io(Path::new("/proc/self/exe"), "cannot be found"))
+}
+
 /// The resident set of a process now, mapped pages included; `None` where it is gone or the system does not say.
 pub fn rss_bytes(process: u32) -> Option<u64> {
     status_bytes(&format!("/proc/{process}/status"), "VmRSS:")

@@ -26,22 +26,13 @@ fn coloured(mesh: &Mesh) -> String {
     text
 }
 
-fn reduce(folder: &Folder, scan: &str, args: &[&str]) -> (Value, String) {
-    let out = folder.path("out.ply");
-    let mut command = crate::support::program();
-    command.arg("reduce").arg(folder.path(scan)).arg("-o").arg(&out).args(["--format", "ply-ascii", "--json"]);
-    let output = command.args(args).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    (serde_json::from_slice(&output.stdout).unwrap(), std::fs::read_to_string(out).unwrap())
-}
-
 #[test]
 fn colours_survive_in_core_and_out_of_core() {
     let folder = Folder::new();
     folder.file("scan.ply", coloured(&torus(320, 200)));
     for (memory, mode) in [("512MiB", "in-core"), (TIGHT, "out-of-core")] {
         let args = ["--faces", "2000", "--memory", memory];
-        let (report, text) = reduce(&folder, "scan.ply", &args);
+        let (report, text) = folder.reduce_to_text("scan.ply", &args);
         assert_eq!((&report["mode"], &report["warnings"]), (&mode.into(), &Value::Array(Vec::new())));
         assert!(report["peak_rss_bytes"].as_u64() <= report["memory_budget_bytes"].as_u64(), "{report}");
         let (header, body) = text.split_once("end_header\n").unwrap();
@@ -54,7 +45,7 @@ fn colours_survive_in_core_and_out_of_core() {
             assert!(off < 12.0, "{mode}: {line}, expected {expected:?}");
         }
         for threads in ["1", "3"] {
-            assert_eq!(reduce(&folder, "scan.ply", &[&args[..], &["--threads", threads]].concat()).1, text);
+            assert_eq!(folder.reduce_to_text("scan.ply", &[&args[..], &["--threads", threads]].concat()).1, text);
         }
     }
 }
@@ -78,7 +69,7 @@ fn what_vertices_of_an_off_carry_comes_through() {
     folder.file("bytes.off", text);
     folder.file("shares.off", shares);
     for (scan, colours) in [("bytes.off", 3), ("shares.off", 4)] {
-        let (report, text) = reduce(&folder, scan, &["--faces", "2000"]);
+        let (report, text) = folder.reduce_to_text(scan, &["--faces", "2000"]);
         assert_eq!(report["warnings"], Value::Array(Vec::new()), "{scan}");
         let (header, body) = text.split_once("end_header\n").unwrap();
         let properties = "property float nx\nproperty float ny\nproperty float nz\nproperty uchar red\n";
@@ -99,9 +90,9 @@ fn what_is_left_behind_is_told() {
     let folder = Folder::new();
     let mesh = torus(40, 25);
     folder.file("scan.ply", coloured(&mesh));
-    let (_, text) = reduce(&folder, "scan.ply", &["--faces", "500", "--no-carry"]);
+    let (_, text) = folder.reduce_to_text("scan.ply", &["--faces", "500", "--no-carry"]);
     assert!(!text.contains("red"));
-    let (report, _) = reduce(&folder, "scan.ply", &["--faces", "500"]);
+    let (report, _) = folder.reduce_to_text("scan.ply", &["--faces", "500"]);
     assert_eq!(report["warnings"], Value::Array(Vec::new()));
     let outcome = folder.reduce_to("out.stl", &folder.path("scan.ply"), &["--faces", "500"]);
     assert_eq!(outcome.object["warnings"][0]["code"], "not-carried");
@@ -112,7 +103,7 @@ fn what_is_left_behind_is_told() {
     assert!(text.lines().filter(|line| line.starts_with("v ")).all(|line| line.split(' ').count() == 7));
     // And back in: an OBJ's colours are bytes in a PLY.
     std::fs::rename(folder.path("out.obj"), folder.path("scan.obj")).unwrap();
-    let (_, text) = reduce(&folder, "scan.obj", &["--faces", "200"]);
+    let (_, text) = folder.reduce_to_text("scan.obj", &["--faces", "200"]);
     assert!(text.contains("property uchar red\n"));
 }
 
@@ -146,7 +137,7 @@ fn borders_between_labels_are_held() {
     let folder = Folder::new();
     let mesh = field(120, 90);
     folder.file("scan.ply", labelled(&mesh));
-    let (report, text) = reduce(&folder, "scan.ply", &["--faces", "1200"]);
+    let (report, text) = folder.reduce_to_text("scan.ply", &["--faces", "1200"]);
     assert_eq!(report["warnings"], Value::Array(Vec::new()));
     let (header, body) = text.split_once("end_header\n").unwrap();
     assert!(header.contains("property list uchar int vertex_indices\nproperty uchar kind"), "{header}");
@@ -191,7 +182,7 @@ fn the_spare_bytes_of_an_stl_come_through() {
         let label = u16::from_le_bytes([record[48], record[49]]);
         assert_eq!(label, if x < 20.0 { 0x1234 } else { 7 }, "at {x}");
     }
-    let (_, text) = reduce(&folder, "scan.stl", &["--faces", "300"]);
+    let (_, text) = folder.reduce_to_text("scan.stl", &["--faces", "300"]);
     assert!(text.contains("property ushort attribute\n"));
 }
 
@@ -221,7 +212,7 @@ fn normals_steer() {
     folder.file("scan.ply", text);
     // The squared error of normals in the middle of faces, by area.
     let error = |args: &[&str]| {
-        let (report, text) = reduce(&folder, "scan.ply", &[&["--faces", "1200"], args].concat());
+        let (report, text) = folder.reduce_to_text("scan.ply", &[&["--faces", "1200"], args].concat());
         assert_eq!(report["warnings"], Value::Array(Vec::new()));
         let (_, body) = text.split_once("end_header\n").unwrap();
         let vertices = report["output"]["vertices"].as_u64().unwrap() as usize;

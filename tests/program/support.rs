@@ -307,6 +307,16 @@ impl Folder {
         self.reduce_to("out.ply", scan, args)
     }
 
+    /// Reduces to ASCII PLY: the report, and the text.
+    pub fn reduce_to_text(&self, scan: &str, args: &[&str]) -> (Value, String) {
+        let out = self.path("out.ply");
+        let mut command = program();
+        command.arg("reduce").arg(self.path(scan)).arg("-o").arg(&out).args(["--format", "ply-ascii", "--json"]);
+        let output = command.args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        (serde_json::from_slice(&output.stdout).unwrap(), fs::read_to_string(out).unwrap())
+    }
+
     /// Reduces to a file of this name.
     pub fn reduce_to(&self, out: &str, scan: &Path, args: &[&str]) -> Outcome {
         let mut command = program();

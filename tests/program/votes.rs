@@ -1,7 +1,7 @@
 //! What faces carry where it has no borders that could be held.
 
 use crate::TIGHT;
-use crate::support::{Folder, Mesh, field, program, torus};
+use crate::support::{Folder, Mesh, field, torus};
 use serde_json::Value;
 
 /// What a face is coloured by where its middle is: never like its neighbours.
@@ -29,15 +29,6 @@ fn with_faces(mesh: &Mesh, properties: &str, of: impl Fn(usize, [f64; 3]) -> Str
         text += &format!("3 {a} {b} {c} {}\n", of(f, middle(mesh, face)));
     }
     text
-}
-
-fn reduce(folder: &Folder, scan: &str, args: &[&str]) -> (Value, String) {
-    let out = folder.path("out.ply");
-    let mut command = program();
-    command.arg("reduce").arg(folder.path(scan)).arg("-o").arg(&out).args(["--format", "ply-ascii", "--json"]);
-    let output = command.args(args).output().unwrap();
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    (serde_json::from_slice(&output.stdout).unwrap(), std::fs::read_to_string(out).unwrap())
 }
 
 /// The middles of the faces of an ASCII PLY with their numbers.
@@ -71,7 +62,7 @@ fn colours_that_differ_everywhere_are_averaged_and_hold_nothing_up() {
     }
     folder.file("scan.off", off);
     for scan in ["scan.ply", "scan.off"] {
-        let (report, text) = reduce(&folder, scan, &["--faces", "1200"]);
+        let (report, text) = folder.reduce_to_text(scan, &["--faces", "1200"]);
         assert_eq!(report["warnings"], Value::Array(Vec::new()), "{scan}");
         let found = faces(&report, &text);
         assert!((1199..=1200).contains(&found.len()), "{}", found.len());
@@ -86,7 +77,7 @@ fn colours_that_differ_everywhere_are_averaged_and_hold_nothing_up() {
         }
         assert!(sum < 4.0 * found.len() as f64, "{sum}");
         for threads in ["1", "3"] {
-            assert_eq!(reduce(&folder, scan, &["--faces", "1200", "--threads", threads]).1, text);
+            assert_eq!(folder.reduce_to_text(scan, &["--faces", "1200", "--threads", threads]).1, text);
         }
     }
 }
@@ -99,14 +90,14 @@ fn labels_are_elected_where_the_scan_does_not_fit() {
     let words = |f: usize, [x, ..]: [f64; 3]| if f.is_multiple_of(5) { "1".into() } else { label(x).to_string() };
     for (name, mesh) in [("scan.ply", torus(320, 200)), ("shuffled.ply", torus(320, 200).with_shuffled_faces())] {
         folder.file(name, with_faces(&mesh, "property ushort kind\n", words));
-        let (report, text) = reduce(&folder, name, &["--faces", "2000", "--memory", TIGHT]);
+        let (report, text) = folder.reduce_to_text(name, &["--faces", "2000", "--memory", TIGHT]);
         assert_eq!((&report["mode"], &report["warnings"]), (&"out-of-core".into(), &Value::Array(Vec::new())));
         assert!(report["peak_rss_bytes"].as_u64() <= report["memory_budget_bytes"].as_u64(), "{report}");
         let found = faces(&report, &text);
         let wrong = found.iter().filter(|([x, ..], values)| (x - 0.1).abs() > 0.1 && values[0] != f64::from(label(*x)));
         // Slivers have few votes.
         assert!(wrong.count() < 8, "{name}");
-        let (_, again) = reduce(&folder, name, &["--faces", "2000", "--memory", TIGHT, "--threads", "1"]);
+        let (_, again) = folder.reduce_to_text(name, &["--faces", "2000", "--memory", TIGHT, "--threads", "1"]);
         assert!(again == text, "{name}");
     }
 }
