@@ -41,7 +41,8 @@
 //! **Invariant:** nothing is allocated on a file's word. Counts are held against the file's size first.
 //!
 //! **Invariant:** no constant knows the size or place of a scan. Coordinates are scaled by a power of two into a
-//! [`mesh::Frame`] and kept in the scalar that the file has; arithmetic is done in `f64` on differences.
+//! [`mesh::Frame`], which begins near them where they are doubles far away, and kept in the scalar that the file has;
+//! arithmetic is done in `f64` on differences.
 //!
 //! Words: *soup*, triangles without shared vertices. *Weld*, make one vertex of coincident ones. *Cell*, a cube of the
 //! clustering grid; *representative*, its vertex. *Wedge*, a vertex as one side of a seam sees it. *Quadric*, squared distance to weighted planes. *Candidate*, an edge that

@@ -170,7 +170,7 @@ impl Run<'_> {
             }
         }
         let faces = mesh.faces.len();
-        let points: Vec<DVec3> = self.locked.iter().map(|p| p.map(|x| frame.to_frame(x))).collect();
+        let points: Vec<DVec3> = self.locked.iter().map(|p| frame.place(*p)).collect();
         let options = self.collapse_options(asked, faces, frame, &points, samples.is_some());
         let lengths = self.lengths(&mesh, carried.as_ref(), asked);
         let collapsed = match source {

@@ -96,7 +96,7 @@ impl<'m, S: Coordinate> Places<'m, S> {
 
     /// The vertex at a position of the file, if there is one.
     fn find(&self, p: [f64; 3]) -> Option<u32> {
-        let p = narrow::<S>(widen(p.map(S::narrow)).map(|x| self.frame.to_frame(x)));
+        let p = narrow::<S>(self.frame.place(widen(p.map(S::narrow))));
         let at = self.table.look_up(std::slice::from_ref(&p), &self.mesh.positions)[0];
         self.table.find(&p, at, &self.mesh.positions)
     }
@@ -190,7 +190,7 @@ fn gather<'m, S: Coordinate>(
             let mut shares = [0.0; BATCH];
             let vertices = chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns));
             for (vertex, (p, values)) in (chunk.first..).zip(vertices) {
-                let p = DVec3::from_array(*p).map(|x| frame.to_frame(x));
+                let p = frame.place(DVec3::from_array(*p));
                 let is_whole = p.is_finite() && wanted.iter().all(|c| values[*c].is_finite());
                 if !pick.takes(vertex) || !is_whole {
                     continue;

@@ -131,7 +131,7 @@ pub fn mean_shades<S: Coordinate>(
         |near, chunk| {
             let vertices = chunk.positions.iter().zip(chunk.values.chunks_exact(chunk.columns));
             for (vertex, (p, values)) in (chunk.first..).zip(vertices) {
-                let p = DVec3::from_array(*p).map(|x| frame.to_frame(x));
+                let p = frame.place(DVec3::from_array(*p));
                 if !pick.takes(vertex) || !p.is_finite() || steers.iter().any(|s| !values[s.column].is_finite()) {
                     continue;
                 }

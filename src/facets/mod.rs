@@ -223,7 +223,7 @@ impl Place {
     #[inline(always)]
     pub(crate) fn of<T: Coordinate>(&self, p: [T; 3]) -> DVec3 {
         let p = widen(p);
-        DVec3::new(self.frame.to_frame(p.x), self.frame.to_frame(p.y), self.frame.to_frame(p.z))
+        self.frame.place(p)
     }
 }
 

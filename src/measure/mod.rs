@@ -55,7 +55,6 @@ use crate::mesh::{Coordinate, Extent, Frame, IndexedMesh, Tree};
 use crate::progress::Stage;
 use crate::read::{Crew, Scalar, Scan, load};
 use crate::scratch::Scratch;
-use glam::DVec3;
 use pass::{Kept, Measuring, Survey};
 use probes::{Points, Probes};
 use sample::{Spread, area_of};
@@ -261,13 +260,11 @@ impl<S: Coordinate> Run<'_, S> {
     }
 
     fn origin(&self) -> Origin {
-        let to_frame = |p: DVec3| DVec3::from(p.to_array().map(|x| self.frame.to_frame(x)));
-        Origin::of(&Extent { min: to_frame(self.extent.min), max: to_frame(self.extent.max) })
+        Origin::of(&Extent { min: self.frame.place(self.extent.min), max: self.frame.place(self.extent.max) })
     }
 
     fn in_file_units(&self, extent: &Extent) -> Extent {
-        let to_file = |p: DVec3| DVec3::from(p.to_array().map(|x| self.frame.to_file(x)));
-        Extent { min: to_file(extent.min), max: to_file(extent.max) }
+        Extent { min: self.frame.place_back(extent.min), max: self.frame.place_back(extent.max) }
     }
 
     /// Vertices first (those that are chosen; all of them, if shades are asked for), then samples of the area.

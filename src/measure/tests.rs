@@ -3,6 +3,7 @@
 use super::*;
 use crate::mesh::triangle::distance_sq;
 use crate::progress::Progress;
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 

@@ -1,9 +1,13 @@
-//! Coordinates: the scalar they are stored in and the power of two they are scaled by.
+//! Coordinates: the scalar they are stored in, the power of two they are scaled by, and where they are counted from.
 //!
 //! A scan is scaled so that its longest side is in `[0.5, 1)`. The factor is a power of two, so scaling is exact in both
 //! directions, every constant of the later stages is relative to a scan of size one, and a scan scaled by a power of two
-//! gives the same mesh, scaled. Nothing is translated: a position keeps the bits it came with (an offset of 500 km in
-//! doubles survives), and arithmetic is done in `f64` on differences.
+//! gives the same mesh, scaled. Arithmetic is done in `f64` on differences.
+//!
+//! A position keeps the bits it came with (an offset of 500 km in doubles survives). One in floats is not translated; nor
+//! is one that streams past. A scan in doubles that is loaded is counted from a point near it, where it lies far from the
+//! file's origin ([`Frame::around`]): subtracting it is exact, and what is placed is not rounded to what doubles hold that
+//! far away before it is written. So a georeferenced scan is reduced like the same scan at home.
 
 use crate::error::{Error, Result};
 use glam::DVec3;
@@ -53,11 +57,18 @@ impl Coordinate for f64 {
     }
 }
 
-/// The power of two between the file's units and the frame that the stages work in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// Between the file's units and the frame that the stages work in: a power of two and an origin.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Frame {
     exponent: i32,
+    /// In the file's units; 0 on the axes that are not translated.
+    origin: DVec3,
 }
+
+/// An extent is far from the file's origin on the axes on which it is so many of the frame's units away, and not so many
+/// that doubles are no finer there than floats are at home. From eight on a difference to a point within a unit and a
+/// half is exact (Sterbenz).
+const FAR: std::ops::Range<f64> = 8.0..(1 << 28) as f64;
 
 impl Frame {
     /// The frame in which the longest side of `extent` is in `[0.5, 1)`, or a millionth less; the identity for a point or nothing at all.
@@ -70,7 +81,36 @@ impl Frame {
         }
         // frexp: the exponent e with side = m · 2^e and m in [0.5, 1), subnormals included.
         let (scaled, shift) = if side < f64::MIN_POSITIVE { (side * 2f64.powi(64), -64) } else { (side, 0) };
-        Frame { exponent: (scaled.to_bits() >> 52 & 0x7ff) as i32 - 1022 + shift }
+        Frame { exponent: (scaled.to_bits() >> 52 & 0x7ff) as i32 - 1022 + shift, origin: DVec3::ZERO }
+    }
+
+    /// The same for positions in `S`. Far doubles are counted from the middle of `extent`, in whole units of the frame, so
+    /// that moving a scan by any number of units moves its origin along.
+    pub fn around<S: Coordinate>(extent: &Extent) -> Self {
+        let frame = Frame::of(extent);
+        let of_axis = |middle: f64| {
+            let units = frame.to_frame(middle);
+            if S::DOUBLE && FAR.contains(&units.abs()) { frame.to_file(units.round()) } else { 0.0 }
+        };
+        let middle = 0.5 * extent.min + 0.5 * extent.max;
+        Frame { origin: if middle.is_finite() { middle.map(of_axis) } else { DVec3::ZERO }, ..frame }
+    }
+
+    /// A point in the frame from one in the file's units.
+    #[inline]
+    pub fn place(self, p: DVec3) -> DVec3 {
+        (p - self.origin).map(|x| self.to_frame(x))
+    }
+
+    /// A point in the file's units from one in the frame.
+    #[inline]
+    pub fn place_back(self, p: DVec3) -> DVec3 {
+        let back = |x: f64, origin: f64| {
+            let x = self.to_file(x);
+            // Adding nothing would take the sign off a zero.
+            if origin == 0.0 { x } else { x + origin }
+        };
+        DVec3::new(back(p.x, self.origin.x), back(p.y, self.origin.y), back(p.z, self.origin.z))
     }
 
     /// A length in the file's units from one in the frame.
@@ -161,6 +201,26 @@ mod tests {
             assert!((0.5..1.0).contains(&unit), "{side} became {unit}");
             assert_eq!(frame.to_file(unit), side);
         }
+    }
+
+    #[test]
+    fn a_far_extent_is_counted_from_its_middle() {
+        let local = Extent { min: DVec3::new(-1.25, 0.1, 3.0), max: DVec3::new(2.5, 0.7, 3.3) };
+        let far = DVec3::new(500_000.0, -4_500_000.0, 0.0);
+        let moved = Extent { min: local.min + far, max: local.max + far };
+        let (frame, home) = (Frame::around::<f64>(&moved), Frame::around::<f64>(&local));
+        assert_eq!(home, Frame::of(&local));
+        for p in [moved.min, moved.max, moved.min + DVec3::new(0.1, 0.2, 0.3)] {
+            // Exact, there and back, and like at home.
+            assert_eq!(frame.place_back(frame.place(p)), p);
+            assert_eq!(frame.place(p), home.place(p - far));
+        }
+        assert!(frame.place(DVec3::new(0.0, 0.0, -0.0)).z.is_sign_negative());
+        assert!(frame.place_back(DVec3::new(0.0, 0.0, -0.0)).z.is_sign_negative());
+        // Floats stay where they are, and doubles that are coarser there than floats at home.
+        assert_eq!(Frame::around::<f32>(&moved), Frame::of(&moved));
+        let farther = Extent { min: DVec3::splat(1e15), max: DVec3::splat(1e15) + local.size() };
+        assert_eq!(Frame::around::<f64>(&farther), Frame::of(&farther));
     }
 
     #[test]

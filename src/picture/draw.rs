@@ -4,7 +4,7 @@ use super::plate::{Paint, Plate};
 use crate::error::Result;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::read::{Crew, Layout, Scan};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 const POSITION: u64 = size_of::<Vec3>() as u64;
@@ -166,7 +166,7 @@ pub fn draw_mesh<S: Coordinate>(
     colour: Option<&(dyn Fn(u32) -> [u8; 3] + Sync)>,
 ) {
     let Some(first) = plates.first() else { return };
-    let seen = |v: u32| first.camera().view(DVec3::from(mesh.positions[v as usize].map(|x| frame.to_file(x.widen()))));
+    let seen = |v: u32| first.camera().view(frame.place_back(mesh.at(v)));
     mesh.faces.par_iter().with_min_len(4096).for_each(|face| {
         let corners = face.map(seen);
         match colour {

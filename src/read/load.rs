@@ -86,7 +86,7 @@ fn load_indexed<S: Coordinate>(scan: &Scan, crew: &Crew<'_>) -> Result<Loaded<S>
     let unreferenced = drop_unreferenced(&mut mesh, &referenced);
     drop(referenced);
     check()?;
-    let frame = Frame::of(&extent);
+    let frame = Frame::around::<S>(&extent);
     scale(&mut mesh, frame);
     let welded = weld(&mut mesh, check)?;
     check()?;
@@ -124,7 +124,7 @@ fn load_soup<S: Coordinate>(scan: &Scan, crew: &Crew<'_>, most_vertices: u64) ->
     crew.progress.check()?;
     let referenced = Bits::of_corners(&mesh);
     let unreferenced_vertices = drop_unreferenced(&mut mesh, &referenced);
-    let frame = Frame::of(&extent);
+    let frame = Frame::around::<S>(&extent);
     crew.progress.check()?;
     scale(&mut mesh, frame);
     let flat_faces = flat_faces(&mesh);
@@ -187,8 +187,7 @@ fn flat_faces<S: Coordinate>(mesh: &IndexedMesh<S>) -> u64 {
 
 fn scale<S: Coordinate>(mesh: &mut IndexedMesh<S>, frame: Frame) {
     for p in &mut mesh.positions {
-        let q = widen(*p);
-        *p = narrow(DVec3::new(frame.to_frame(q.x), frame.to_frame(q.y), frame.to_frame(q.z)));
+        *p = narrow(frame.place(widen(*p)));
     }
 }
 
@@ -372,7 +371,7 @@ mod tests {
     fn doubles_keep_their_bits_and_the_smallest_floats_scale_exactly() {
         let far = ["500000.1 5400000.3 0.7", "500000.2 5400000.3 0.7", "500000.2 5400000.4 0.7"];
         let (mesh, frame, _) = load_text::<f64>("scan.ply", &ply("double", &far, &["3 0 1 2"])).unwrap();
-        let back = mesh.positions.iter().map(|p| p.map(|x| frame.to_file(x))).collect::<Vec<_>>();
+        let back = mesh.positions.iter().map(|p| frame.place_back(widen(*p)).to_array()).collect::<Vec<_>>();
         assert_eq!(back[1], [500000.2, 5400000.3, 0.7]);
 
         let tiny = ["0 0 0", "1e-44 0 0", "0 3e-45 0"];

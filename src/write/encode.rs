@@ -4,7 +4,7 @@ use super::{Clothes, Format, Sink, glb, text};
 use crate::error::{Error, Result};
 use crate::mesh::coat::{Coat, Dress, is_spare};
 use crate::mesh::columns::{Column, Columns};
-use crate::mesh::{Coordinate, Frame, IndexedMesh};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, widen};
 use glam::DVec3;
 use std::io::Write;
 use std::path::Path;
@@ -197,24 +197,24 @@ pub(crate) fn encode<S: Coordinate, W: Write>(
 
 fn ply<S: Coordinate, W: Write>(contents: &Contents<'_, S>, sink: &mut Sink<'_, W>) -> Result<()> {
     let Contents { mesh, frame, carried, .. } = *contents;
-    let back = |x: S| frame.to_file(x.widen());
+    let back = |p: &[S; 3]| frame.place_back(widen(*p)).to_array();
     if !carried.columns.is_empty() {
         let mut record = Vec::with_capacity(24 + 8 * carried.columns.len());
         for (vertex, p) in mesh.positions.iter().enumerate() {
             record.clear();
             if S::DOUBLE {
-                record.extend(ply_vertex_double(p.map(back)));
+                record.extend(ply_vertex_double(back(p)));
             } else {
-                record.extend(ply_vertex(p.map(|x| back(x) as f32)));
+                record.extend(ply_vertex(back(p).map(|x| x as f32)));
             }
             let values = carried.columns.iter().zip(carried.of(vertex));
             values.for_each(|(column, value)| column.number.put(*value, &mut record));
             sink.put(&record)?;
         }
     } else if S::DOUBLE {
-        sink.put_each(&mesh.positions, |p| Ok(ply_vertex_double(p.map(back))))?;
+        sink.put_each(&mesh.positions, |p| Ok(ply_vertex_double(back(p))))?;
     } else {
-        sink.put_each(&mesh.positions, |p| Ok(ply_vertex(p.map(|x| back(x) as f32))))?;
+        sink.put_each(&mesh.positions, |p| Ok(ply_vertex(back(p).map(|x| x as f32))))?;
     }
     let columns = contents.face_columns();
     if columns.is_empty() {
@@ -236,7 +236,7 @@ fn stl<S: Coordinate, W: Write>(contents: &Contents<'_, S>, path: &Path, sink: &
     let facet = |face: &[u32; 3]| {
         // Normals come from the frame, where no product of coordinates leaves the range of doubles.
         let [a, b, c] = face.map(|v| mesh.at(v));
-        let corners = [a, b, c].map(|p| p.to_array().map(|x| frame.to_file(x) as f32));
+        let corners = [a, b, c].map(|p| frame.place_back(p).to_array().map(|x| x as f32));
         if !corners.as_flattened().iter().all(|x| x.is_finite()) {
             let what = "STL holds floats, which end at 3.4e38, and this mesh goes beyond: write a .ply".to_string();
             return Err(Error::Unmet { file: path.into(), what });

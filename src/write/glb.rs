@@ -87,7 +87,7 @@ pub(super) fn encode<S: Coordinate, W: Write>(
     sink: &mut Sink<'_, W>,
 ) -> Result<()> {
     let Contents { mesh, frame, carried, clothes, .. } = *contents;
-    let at = |p: [S; 3]| widen(p).map(|x| frame.to_file(x));
+    let at = |p: [S; 3]| frame.place_back(widen(p));
     let mut extent = Extent::default();
     mesh.positions.iter().for_each(|p| extent.include(at(*p)));
     let mapping = Mapping::of::<S>(&extent, format == Format::GlbQuantised);

@@ -3,7 +3,7 @@
 use super::encode::{ply_face, ply_vertex, ply_vertex_double};
 use super::{Format, Target};
 use crate::error::{Error, Result};
-use crate::mesh::{Coordinate, Frame, IndexedMesh};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, widen};
 use crate::progress::{Progress, Stage};
 
 /// What is written at each vertex beside its position.
@@ -54,7 +54,7 @@ impl Target {
             sink.put(header.as_bytes())?;
             let mut record = Vec::with_capacity(vertex_bytes as usize);
             for (p, value) in mesh.positions.iter().zip(shading.values) {
-                let [x, y, z] = p.map(|x| frame.to_file(x.widen()));
+                let [x, y, z] = frame.place_back(widen(*p)).to_array();
                 record.clear();
                 if S::DOUBLE {
                     record.extend(ply_vertex_double([x, y, z]));

@@ -3,9 +3,9 @@
 use super::encode::Contents;
 use super::{Clothes, Format, Sink};
 use crate::error::Result;
-use crate::mesh::Coordinate;
 use crate::mesh::coat::Patch;
 use crate::mesh::columns::{Meaning, Number};
+use crate::mesh::{Coordinate, widen};
 use std::fmt;
 use std::io::Write;
 
@@ -55,7 +55,7 @@ pub(super) fn elements<S: Coordinate, W: Write>(
     }
     // Writing to memory does not fail.
     for (v, p) in mesh.positions.iter().enumerate() {
-        let [x, y, z] = p.map(|x| Digits(S::narrow(frame.to_file(x.widen()))));
+        let [x, y, z] = frame.place_back(widen(*p)).to_array().map(|x| Digits(S::narrow(x)));
         line.clear();
         let _ = write!(line, "{vertex}{x} {y} {z}");
         if let Some(at) = colour {

@@ -32,7 +32,6 @@ use crate::plan::TilePlan;
 use crate::progress::Stage;
 use crate::refit::{Aim, Held, refit};
 use crate::tiles::{self, Blocks, Cut, Lie, Partition, SampleStore};
-use glam::DVec3;
 use kept::{Joined, Tiled, apply};
 use std::time::Instant;
 
@@ -149,7 +148,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let stream = Stream::<S>::open(scan, &crew, &run.scratch, frame, Stride::new(1, 1), plan.position_bytes)?;
         let cutters = stream.faces(&crew, false, || partition.writer())?;
         let cut = Cut::sum(cutters.into_iter().map(|cutter| cutter.finish()).collect::<Result<Vec<_>>>()?);
-        let place = |p: DVec3| DVec3::from(p.to_array().map(|x| frame.to_frame(x)));
+        let place = |p| frame.place(p);
         let lattice = Lattice::over(place(extent.min), place(extent.max));
         Ok(Mill { run, plan, asked, frame, blocks, lattice, scan: partition, cut })
     }
