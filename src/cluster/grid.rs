@@ -49,8 +49,7 @@ pub(super) struct Place {
 impl Place {
     /// All of the scan is in `extent`, which is in the file's units.
     pub(super) fn within(frame: Frame, extent: &Extent) -> Self {
-        let framed = |p: DVec3| DVec3::from(p.to_array().map(|x| frame.to_frame(x)));
-        Place { frame, min: framed(extent.min), max: framed(extent.max), stray: false }
+        Place { frame, min: frame.place(extent.min), max: frame.place(extent.max), stray: false }
     }
 
     /// Most of it is.
@@ -97,6 +96,8 @@ pub(super) struct Grid {
     steps_per_unit: f64,
     /// The same two in the file's units, unless these are beyond all measure.
     in_file: Option<(DVec3, f64)>,
+    /// The frame's origin, in the file's units.
+    base: DVec3,
 }
 
 /// Within these bounds of its side's exponent a scan is measured in its own units: scaling by a power of two is exact,
@@ -117,7 +118,7 @@ impl Grid {
         let steps_per_unit = STEPS / cell;
         let unit = place.frame.to_file(1.0);
         let in_file = ORDINARY.contains(&unit).then(|| (origin * unit, steps_per_unit / unit));
-        Grid { frame: place.frame, origin, cell, steps_per_unit, in_file }
+        Grid { frame: place.frame, origin, cell, steps_per_unit, in_file, base: place.frame.origin() }
     }
 
     /// Where steps are counted from, in the frame.
@@ -129,7 +130,7 @@ impl Grid {
     #[inline(always)]
     pub(super) fn steps(&self, p: [f64; 3]) -> Option<Steps> {
         let s = match self.in_file {
-            Some((origin, steps_per_unit)) => (DVec3::from(p) - origin) * steps_per_unit,
+            Some((origin, steps_per_unit)) => (DVec3::from(p) - self.base - origin) * steps_per_unit,
             None => self.framed_steps(p),
         };
         let steps = [round(s.x), round(s.y), round(s.z)];
@@ -138,7 +139,7 @@ impl Grid {
 
     #[cold]
     fn framed_steps(&self, p: [f64; 3]) -> DVec3 {
-        (DVec3::from(p.map(|x| self.frame.to_frame(x))) - self.origin) * self.steps_per_unit
+        (self.frame.place(DVec3::from(p)) - self.origin) * self.steps_per_unit
     }
 
     /// The position in the frame of a place `local` (in the cell's sides, about its centre) in the cell `key`.

@@ -219,7 +219,7 @@ pub fn cluster<S: Coordinate>(
 ) -> Result<Clustered<S>> {
     let sample = scan.sample(crew, SAMPLE)?;
     let coherent = sample.blocks_per_triangle < COHERENT;
-    let (place, mut sizing) = survey::survey(scan, crew, &sample, options.cells)?;
+    let (place, mut sizing) = survey::survey::<S>(scan, crew, &sample, options.cells)?;
     drop(sample);
     let stats = ClusterStats::default();
     let mut run = Run { scan, crew, scratch, options, place, coherent, coarser_weights: 1.0, stats };

@@ -45,7 +45,7 @@ impl Sizing {
     pub(super) fn of(sample: &Sample, frame: Frame, scan: &Scan, cells: usize) -> Self {
         let (mut areas, mut crossed) = (Vec::new(), Vec::new());
         for triangle in &sample.triangles {
-            let [a, b, c] = triangle.map(|p| DVec3::from(p.map(|x| frame.to_frame(x))));
+            let [a, b, c] = triangle.map(|p| frame.place(DVec3::from(p)));
             let cross = 0.5 * (b - a).cross(c - a);
             let longest_sq = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
             if longest_sq.is_finite() && cross.is_finite() {

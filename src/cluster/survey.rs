@@ -12,7 +12,7 @@ use super::grid::{Grid, Place, cell_key};
 use super::sizing::Sizing;
 use super::table::{block_key, mix};
 use crate::error::Result;
-use crate::mesh::{Extent, Frame};
+use crate::mesh::{Coordinate, Extent, Frame};
 use crate::read::{Crew, Layout, Sample, Scan};
 use glam::DVec3;
 use rustc_hash::FxHashSet;
@@ -38,13 +38,18 @@ const NEAR_ENOUGH: f64 = 1.08;
 const TURNS: usize = 4;
 
 /// Where the scan is, and how its cells are sized.
-pub(super) fn survey(scan: &Scan, crew: &Crew, sample: &Sample, cells: usize) -> Result<(Place, Sizing)> {
+pub(super) fn survey<S: Coordinate>(
+    scan: &Scan,
+    crew: &Crew,
+    sample: &Sample,
+    cells: usize,
+) -> Result<(Place, Sizing)> {
     let mut bulk = bulk(sample);
     if bulk.size().max_element() <= 0.0 || !bulk.size().is_finite() {
         bulk = pass(scan, crew, None, LEADING)?.extent;
         bulk.check(scan.path())?;
     }
-    let frame = Frame::of(&bulk);
+    let frame = Frame::around::<S>(&bulk);
     let mut sizing = Sizing::of(sample, frame, scan, cells);
     let mut place = Place::about(frame, &bulk);
     let mut side = place.side(&sizing);

@@ -154,7 +154,7 @@ fn integer_sums_are_what_a_naive_loop_sums() {
     let scratch = Scratch::in_folder(made.folder.path());
     let crew = Crew { workers: 2, progress: &progress };
     let sample = scan.sample(&crew, SAMPLE).unwrap();
-    let (place, mut sizing) = survey::survey(&scan, &crew, &sample, OPTIONS.cells).unwrap();
+    let (place, mut sizing) = survey::survey::<f32>(&scan, &crew, &sample, OPTIONS.cells).unwrap();
     let stats = ClusterStats::default();
     let mut run = Run {
         scan: &scan,

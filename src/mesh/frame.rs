@@ -4,10 +4,10 @@
 //! directions, every constant of the later stages is relative to a scan of size one, and a scan scaled by a power of two
 //! gives the same mesh, scaled. Arithmetic is done in `f64` on differences.
 //!
-//! A position keeps the bits it came with (an offset of 500 km in doubles survives). One in floats is not translated; nor
-//! is one that streams past. A scan in doubles that is loaded is counted from a point near it, where it lies far from the
-//! file's origin ([`Frame::around`]): subtracting it is exact, and what is placed is not rounded to what doubles hold that
-//! far away before it is written. So a georeferenced scan is reduced like the same scan at home.
+//! A position keeps the bits it came with (an offset of 500 km in doubles survives). One in floats is not translated.
+//! One in doubles is counted from a point near the scan, where that lies far from the file's origin ([`Frame::around`]):
+//! subtracting it is exact, and what is placed is not rounded to what doubles hold that far away before it is written. So a
+//! georeferenced scan is reduced like the same scan at home.
 
 use crate::error::{Error, Result};
 use glam::DVec3;
@@ -94,6 +94,11 @@ impl Frame {
         };
         let middle = 0.5 * extent.min + 0.5 * extent.max;
         Frame { origin: if middle.is_finite() { middle.map(of_axis) } else { DVec3::ZERO }, ..frame }
+    }
+
+    /// Where the frame begins, in the file's units.
+    pub fn origin(self) -> DVec3 {
+        self.origin
     }
 
     /// A point in the frame from one in the file's units.

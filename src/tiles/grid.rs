@@ -119,7 +119,7 @@ type Counts = FxHashMap<u64, u32>;
 
 /// Blocks of which tiles of either lie hold at most `most` faces; `None` where there are none.
 pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most: u64) -> Result<Option<Blocks>> {
-    let place = |p: [f64; 3]| DVec3::from(p.map(|x| frame.to_frame(x)));
+    let place = |p: [f64; 3]| frame.place(DVec3::from(p));
     let (min, max) = (place(extent.min.to_array()), place(extent.max.to_array()));
     let size = (max - min).max_element().max(f64::MIN_POSITIVE);
     let each = scan.triangle_count() as f64 / scan.vertex_count().max(1) as f64;

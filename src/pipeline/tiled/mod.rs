@@ -138,7 +138,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let (scan, crew) = (run.scan, read_crew(&run.purse, run.progress));
         run.progress.begin(Stage::Read, 3 * scan.bytes());
         let extent = scan.extent(&crew)?;
-        let frame = Frame::of(&extent);
+        let frame = Frame::around::<S>(&extent);
         let Some(blocks) = tiles::blocks(scan, &crew, (frame, &extent), plan.faces)? else {
             let what =
                 format!("{}: so many faces lie together that no tile of them fits this budget", scan.path().display());
