@@ -1,6 +1,7 @@
 //! Seams of textures and of normals, materials and groups stay what they are.
 
-use crate::support::{Folder, program};
+use crate::TIGHT;
+use crate::support::{Folder, program, torus};
 use serde_json::Value;
 use std::f64::consts::TAU;
 use std::fmt::Write;
@@ -214,4 +215,46 @@ fn a_glb_is_read_back_with_its_seams() {
         assert_eq!(face.material, if is_lid { "tin" } else { "label" });
     }
     assert!(std::fs::read_to_string(folder.path("small.mtl")).unwrap().contains("map_Kd label.png\n"));
+}
+
+#[test]
+fn seams_of_a_scan_that_does_not_fit_are_left_out_and_said() {
+    let folder = Folder::new();
+    let (around, across) = (320, 200);
+    let mesh = torus(around, across);
+    let mut text = String::new();
+    for [x, y, z] in &mesh.positions {
+        let _ = writeln!(text, "v {} {} {}", *x as f32, *y as f32, *z as f32);
+    }
+    for (i, j) in (0..=around).flat_map(|i| (0..=across).map(move |j| (i, j))) {
+        let _ = writeln!(text, "vt {} {}", f64::from(i) / f64::from(around), f64::from(j) / f64::from(across));
+    }
+    for face in &mesh.faces {
+        let corners = face.map(|v| [v / across, v % across]);
+        // Where a face goes around, 0 is the end.
+        let unwound = |axis: usize, end: u32| {
+            let at = corners.map(|corner| corner[axis]);
+            let goes_around = at.contains(&0) && at.contains(&(end - 1));
+            at.map(|x| if goes_around && x == 0 { end } else { x })
+        };
+        let (i, j) = (unwound(0, around), unwound(1, across));
+        let corner = |c: usize| format!("{}/{}", face[c] + 1, i[c] * (across + 1) + j[c] + 1);
+        let _ = writeln!(text, "f {} {} {}", corner(0), corner(1), corner(2));
+    }
+    folder.file("scan.obj", text);
+    let reduce = |memory: &str| {
+        let outcome = folder.reduce_to("small.obj", &folder.path("scan.obj"), &["--faces", "2000", "--memory", memory]);
+        assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
+        let text = std::fs::read_to_string(folder.path("small.obj")).unwrap();
+        (outcome.object, text.lines().filter(|line| line.starts_with("vt ")).count())
+    };
+    let (report, textured) = reduce(TIGHT);
+    assert_eq!((&report["mode"], textured), (&"out-of-core".into(), 0));
+    assert_eq!(report["warnings"][0]["code"], "seams-left-out");
+    let said = report["warnings"][0]["text"].as_str().unwrap();
+    let enough = said.split("--memory ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
+    let (report, textured) = reduce(enough);
+    assert_eq!((&report["mode"], &report["warnings"]), (&"in-core".into(), &Value::Array(Vec::new())));
+    // Vertices at the two seams have two.
+    assert!(textured as u64 > report["output"]["vertices"].as_u64().unwrap() + 20, "{textured}: {report}");
 }
