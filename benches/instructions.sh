@@ -33,7 +33,7 @@ line() {
     printf '  %-30s %14d %7d a face\n' "$1" "$2" $(($2 / faces))
 }
 
-for memory in 24MiB 1GiB; do
+for memory in 25MiB 1GiB; do
     echo "$faces faces to $((faces / 50)) within $memory"
     all=$(count "$memory")
     collapse=$(count "$memory" collapse::collapse)
