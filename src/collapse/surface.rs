@@ -315,6 +315,19 @@ impl<S: Coordinate> Surface<S> {
         folds_at(a, b) || folds_at(b, a)
     }
 
+    /// Gives back the memory of what has gone, before costs and current quadrics need theirs. Of large arrays nothing is
+    /// copied for it.
+    pub fn give_back(&mut self) {
+        self.faces.shrink_to_fit();
+        self.positions.shrink_to_fit();
+        self.learnt.shrink_to_fit();
+        self.wedges.corners.shrink_to_fit();
+        self.shades.values.shrink_to_fit();
+        self.marks.shrink_to_fit();
+        self.pieces.of.shrink_to_fit();
+        self.stars.give_back();
+    }
+
     /// Fills the costs of all edges for which `stale` says that they must be computed again: all where there are none.
     pub fn evaluate(&mut self, options: &Options, stale: impl Fn(u8) -> bool + Sync) {
         let mut costs = std::mem::take(&mut self.costs);

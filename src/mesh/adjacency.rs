@@ -15,6 +15,12 @@ pub struct Stars {
 const RANGES: usize = 4;
 
 impl Stars {
+    /// Gives back the memory that is not in use.
+    pub fn give_back(&mut self) {
+        self.first.shrink_to_fit();
+        self.corners.shrink_to_fit();
+    }
+
     /// Rebuilds for `faces` over `vertices` vertices, reusing the memory. At most [`MOST_FACES`].
     pub fn rebuild(&mut self, faces: &[[u32; 3]], vertices: usize) {
         assert!(faces.len() <= MOST_FACES, "a corner is numbered in 32 bits");

@@ -74,3 +74,15 @@ fn refused_or_done(folder: &Folder, scan: &Path, faces: &str, memory: &str) {
     let (peak, budget) = (bytes("peak_rss_bytes"), bytes("memory_budget_bytes"));
     assert!(peak <= budget, "{scan:?} to {faces} within {within}: {peak} resident");
 }
+
+#[test]
+fn in_core_a_face_takes_90_bytes_at_most() {
+    // The costliest ask: quadrics far from the target, costs and a reference near it.
+    let folder = Folder::new();
+    let scan = folder.synth("scan.ply", "2M");
+    let outcome = folder.reduce(&scan, &["--faces", "200k", "--memory", "1GiB"]);
+    assert_eq!((outcome.code, &outcome.object["mode"]), (Some(0), &"in-core".into()), "{}", outcome.stderr);
+    let peak = outcome.object["peak_rss_bytes"].as_u64().unwrap();
+    let program = 15 << 20;
+    assert!(peak <= 90 * 2_000_000 + program, "{peak} resident");
+}
