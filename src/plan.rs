@@ -68,6 +68,11 @@ const SURVIVORS_A_CELL: usize = 4;
 /// What collapse and refit take beside their arrays, as a share of them: lists of a round, what allocators keep back.
 const MARGIN: f64 = 0.07;
 
+/// What of so many bytes is left for arrays.
+fn without_margin(bytes: u64) -> u64 {
+    (bytes as f64 / (1.0 + MARGIN)) as u64
+}
+
 /// What the lists of the collapse's rounds take, for each vertex that came in; they are gone when the last steps begin.
 const ROUND_BYTES: u64 = 24;
 
@@ -209,7 +214,7 @@ impl Purse {
     /// What the collapse's own arrays may take if it begins with so many vertices.
     fn for_collapse(&self, vertices: u64) -> u64 {
         let tail = self.ask.tail_bytes.saturating_sub(ROUND_BYTES.saturating_mul(vertices));
-        (self.for_arrays().saturating_sub(tail) as f64 / (1.0 + MARGIN)) as u64
+        without_margin(self.for_arrays().saturating_sub(tail))
     }
 
     /// What a collapse takes that begins within twenty times the target, with or without samples of the scan. The refit,
@@ -269,8 +274,7 @@ impl Purse {
         let reference = if self.ask.refit_rounds > 1 { collapse::reference_bytes::<f64>(2, 1) } else { 0 };
         let kept = (AIM / 2.0) as u64 * faces.saturating_mul(4 + reference);
         let taken = refit::BYTES_A_FACE.saturating_mul(faces).saturating_add(kept);
-        let room = (self.for_arrays() as f64 / (1.0 + MARGIN)) as u64;
-        (room.saturating_sub(taken) / refit::BYTES_A_SAMPLE) as usize
+        (without_margin(self.for_arrays()).saturating_sub(taken) / refit::BYTES_A_SAMPLE) as usize
     }
 
     /// If `scan` fits the budget as a whole: the number of distinct vertices for which it does. Only a soup can turn out

@@ -94,10 +94,8 @@ pub(super) struct Grid {
     /// Side of a cell in the frame.
     pub(super) cell: f64,
     steps_per_unit: f64,
-    /// The same two in the file's units, unless these are beyond all measure.
+    /// The same two in the file's units, from the frame's origin, unless these are beyond all measure.
     in_file: Option<(DVec3, f64)>,
-    /// The frame's origin, in the file's units.
-    base: DVec3,
 }
 
 /// Within these bounds of its side's exponent a scan is measured in its own units: scaling by a power of two is exact,
@@ -118,7 +116,7 @@ impl Grid {
         let steps_per_unit = STEPS / cell;
         let unit = place.frame.to_file(1.0);
         let in_file = ORDINARY.contains(&unit).then(|| (origin * unit, steps_per_unit / unit));
-        Grid { frame: place.frame, origin, cell, steps_per_unit, in_file, base: place.frame.origin() }
+        Grid { frame: place.frame, origin, cell, steps_per_unit, in_file }
     }
 
     /// Where steps are counted from, in the frame.
@@ -130,7 +128,7 @@ impl Grid {
     #[inline(always)]
     pub(super) fn steps(&self, p: [f64; 3]) -> Option<Steps> {
         let s = match self.in_file {
-            Some((origin, steps_per_unit)) => (DVec3::from(p) - self.base - origin) * steps_per_unit,
+            Some((origin, steps_per_unit)) => (DVec3::from(p) - self.frame.origin() - origin) * steps_per_unit,
             None => self.framed_steps(p),
         };
         let steps = [round(s.x), round(s.y), round(s.z)];

@@ -120,7 +120,7 @@ type Counts = FxHashMap<u64, u32>;
 /// Blocks of which tiles of either lie hold at most `most` faces; `None` where there are none.
 pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most: u64) -> Result<Option<Blocks>> {
     let place = |p: [f64; 3]| frame.place(DVec3::from(p));
-    let (min, max) = (place(extent.min.to_array()), place(extent.max.to_array()));
+    let (min, max) = (frame.place(extent.min), frame.place(extent.max));
     let size = (max - min).max_element().max(f64::MIN_POSITIVE);
     let each = scan.triangle_count() as f64 / scan.vertex_count().max(1) as f64;
     let mut side = size * (1.0 + 1e-9) / f64::from(FIRST);

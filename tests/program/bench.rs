@@ -9,7 +9,7 @@ fn table_6_3_is_printed_and_drawn() {
     let folder = Folder::new();
     let mut command = program();
     command.env_remove("MESHMILL_MODELS").args(["bench", "table-6.3", "--most-faces", "1000", "--runs", "1"]);
-    command.args(["--continue", "2000,100k", "--memory", "24MiB", "--threads", "2", "--json", "--scratch"]);
+    command.args(["--continue", "2000,100k", "--memory", "23MiB", "--threads", "2", "--json", "--scratch"]);
     let output = command.arg(folder.path("")).arg("-o").arg(folder.path("")).output().unwrap();
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{stderr}");

@@ -102,36 +102,55 @@ fn a_georeferenced_scan_keeps_its_precision() {
     }
 }
 
-#[test]
-fn a_georeferenced_copy_gives_the_same_mesh_there() {
-    // Where doubles are a millionth of a millimetre apart. The first has a thousand edges alike, the second none.
-    let even = torus(300, 180).map(|p| p.map(|x| 50.0 * x));
+/// Two tori of so many vertices and a scaled one. The first has a thousand edges alike, the second none; the longest side
+/// of the third is a power of two: elsewhere a bit less or more.
+fn tori(around: u32, across: u32) -> [(&'static str, Mesh); 3] {
+    let even = torus(around, across).map(|p| p.map(|x| 50.0 * x));
     let bump = |x: f64, k: f64| 0.03 * (k * x).sin();
-    let mut bumped = torus(300, 180);
-    for (i, p) in bumped.positions.iter_mut().enumerate() {
-        let (u, v) =
-            ((i / 180) as f64 / 300.0 * std::f64::consts::TAU, (i % 180) as f64 / 180.0 * std::f64::consts::TAU);
+    let mut bumped = torus(around, across);
+    for (i, p) in (0..).zip(&mut bumped.positions) {
+        let angle = |step: u32, steps: u32| f64::from(step) / f64::from(steps) * std::f64::consts::TAU;
+        let (u, v) = (angle(i / across, around), angle(i % across, across));
         let (x, y, z) = ((1.0 + 0.4 * v.cos()) * u.cos(), (1.0 + 0.4 * v.cos()) * u.sin(), 0.4 * v.sin());
         let at = [x + bump(y, 7.3), y + bump(z, 11.9), z + bump(x, 5.7) + bump(x * y, 17.0)];
         *p = at.map(|x| 50.0 * x);
     }
-    // Its longest side is a power of two: elsewhere a bit less or more.
     let longest = (0..3).map(|axis| bumped.extent()[1][axis] - bumped.extent()[0][axis]).fold(0.0, f64::max);
     let unit = bumped.clone().scaled(128.0 / longest);
-    let offset = [500_000.0, 4_500_000.0, 0.0];
-    for (name, mesh) in [("even", even), ("bumped", bumped), ("unit", unit)] {
-        let there = mesh.map(|p| std::array::from_fn(|axis| p[axis] + offset[axis]));
-        // What the scan itself loses there is not what is asked about.
-        let mesh = there.clone().map(|p| std::array::from_fn(|axis| p[axis] - offset[axis]));
-        for (memory, mode) in MODES {
-            let near = reduced(&mesh, Kind::Doubles, memory, mode);
-            let far = reduced(&there, Kind::Doubles, memory, mode);
-            assert!(near.mesh.faces == far.mesh.faces, "{name} {mode}");
-            let off = |(p, q): (&[f64; 3], &[f64; 3])| {
-                (0..3).map(|axis| (q[axis] - offset[axis] - p[axis]).abs()).fold(0.0, f64::max)
-            };
-            let off = near.mesh.positions.iter().zip(&far.mesh.positions).map(off).fold(0.0, f64::max);
-            assert!(off < 1e-8 * mesh.diagonal(), "{name} {mode}: {off}");
+    [("even", even), ("bumped", bumped), ("unit", unit)]
+}
+
+/// Where doubles are a millionth of a millimetre apart.
+const THERE: [f64; 3] = [500_000.0, 4_500_000.0, 0.0];
+
+fn moved(mesh: &Mesh, sign: f64) -> Mesh {
+    mesh.clone().map(|p| std::array::from_fn(|axis| p[axis] + sign * THERE[axis]))
+}
+
+/// How far the results of both are from each other, as a share of their size.
+fn apart(near: &Mesh, far: &Mesh, (memory, mode): (&str, &str), name: &str) -> f64 {
+    let [home, away] = [near, far].map(|mesh| reduced(mesh, Kind::Doubles, memory, mode).mesh);
+    assert!(home.faces == away.faces, "{name} {mode}");
+    let off =
+        |(p, q): (&[f64; 3], &[f64; 3])| (0..3).map(|axis| (q[axis] - THERE[axis] - p[axis]).abs()).fold(0.0, f64::max);
+    home.positions.iter().zip(&away.positions).map(off).fold(0.0, f64::max) / near.diagonal()
+}
+
+#[test]
+fn a_georeferenced_copy_gives_the_same_mesh_there() {
+    for (name, mesh) in tori(200, 120) {
+        let off = apart(&mesh, &moved(&mesh, 1.0), MODES[0], name);
+        assert!(off < 1e-6, "{name}: {off}");
+    }
+}
+
+#[test]
+fn a_georeferenced_copy_that_loses_no_digits_gives_the_very_mesh() {
+    for (name, mesh) in tori(300, 180) {
+        let there = moved(&mesh, 1.0);
+        for mode in MODES {
+            let off = apart(&moved(&there, -1.0), &there, mode, name);
+            assert!(off < 1e-8, "{name} {mode:?}: {off}");
         }
     }
 }

@@ -148,8 +148,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let stream = Stream::<S>::open(scan, &crew, &run.scratch, frame, Stride::new(1, 1), plan.position_bytes)?;
         let cutters = stream.faces(&crew, false, || partition.writer())?;
         let cut = Cut::sum(cutters.into_iter().map(|cutter| cutter.finish()).collect::<Result<Vec<_>>>()?);
-        let place = |p| frame.place(p);
-        let lattice = Lattice::over(place(extent.min), place(extent.max));
+        let lattice = Lattice::over(frame.place(extent.min), frame.place(extent.max));
         Ok(Mill { run, plan, asked, frame, blocks, lattice, scan: partition, cut })
     }
 
