@@ -170,7 +170,7 @@ impl BorderWorker<'_> {
 }
 
 impl Sink for BorderWorker<'_> {
-    fn take(&mut self, faces: &[[Corner; 3]]) {
+    fn take(&mut self, faces: &[[Corner; 3]], _: usize) {
         for face in faces {
             let slots = face.map(|corner| self.borders.slots[corner.cell() as usize]);
             if slots != [CLOSED; 3] {

@@ -25,8 +25,9 @@ pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + MARKER_B
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {
-    /// Faces that repeat no vertex and whose corners are all somewhere.
-    fn take(&mut self, faces: &[[Corner; 3]]);
+    /// At most [`BATCH`] faces that repeat no vertex and whose corners are all somewhere; those with all corners in one
+    /// cell come first, so many.
+    fn take(&mut self, faces: &[[Corner; 3]], inside: usize);
 }
 
 /// Where a face's corners come from.
@@ -45,7 +46,10 @@ pub(super) enum Corners<'a> {
 pub(super) struct Feed<'a, K> {
     pub(super) sink: K,
     used: Marker<'a>,
-    faces: Vec<[Corner; 3]>,
+    /// Faces within a cell from the beginning, those across cells from the end.
+    faces: Box<[[Corner; 3]; BATCH]>,
+    inside: usize,
+    across: usize,
     /// Faces that repeat a corner.
     pub(super) repeated: u64,
     /// The first vertex (of a soup: corner) that a face uses and that is nowhere.
@@ -54,7 +58,8 @@ pub(super) struct Feed<'a, K> {
 
 impl<'a, K: Sink> Feed<'a, K> {
     pub(super) fn new(sink: K, used: &'a Used) -> Self {
-        Feed { sink, used: Marker::new(used), faces: Vec::with_capacity(BATCH), repeated: 0, nowhere: None }
+        let faces = Box::new([[Corner::default(); 3]; BATCH]);
+        Feed { sink, used: Marker::new(used), faces, inside: 0, across: 0, repeated: 0, nowhere: None }
     }
 
     /// A face has this vertex.
@@ -63,10 +68,16 @@ impl<'a, K: Sink> Feed<'a, K> {
         self.used.add(vertex);
     }
 
+    /// Takes a face along. Whether it is within a cell is as good as random, so this is told without a branch.
     #[inline(always)]
     pub(super) fn push(&mut self, face: [Corner; 3]) {
-        self.faces.push(face);
-        if self.faces.len() == BATCH {
+        let [a, b, c] = face;
+        let is_inside = a.same_cell(b) & a.same_cell(c);
+        let place = if is_inside { self.inside } else { BATCH - 1 - self.across };
+        self.faces[place % BATCH] = face;
+        self.inside += usize::from(is_inside);
+        self.across += usize::from(!is_inside);
+        if self.inside + self.across == BATCH {
             self.deliver();
         }
     }
@@ -78,8 +89,9 @@ impl<'a, K: Sink> Feed<'a, K> {
     }
 
     fn deliver(&mut self) {
-        self.sink.take(&self.faces);
-        self.faces.clear();
+        let (inside, across) = (std::mem::take(&mut self.inside), std::mem::take(&mut self.across));
+        self.faces.copy_within(BATCH - across.., inside);
+        self.sink.take(&self.faces[..inside + across], inside);
     }
 
     #[cold]

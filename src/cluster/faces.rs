@@ -1,16 +1,17 @@
 //! The face pass: every face adds its plane to the cells of its corners, and survives if they are three.
 //!
-//! Faces come in batches and go through in stages, each a short loop over the batch: apart by kind, edges, cross
-//! products, normals, samples (all of these without a branch, several faces at a time), sums. One face at a time would
-//! wait for its own square root and division.
+//! Faces come in batches, those within a cell apart from those across cells, and go through in stages, each a short loop
+//! over the batch: edges, shares in cells, cross products, normals, samples (all of these without a branch), sums. One
+//! face at a time would wait for its own square root and division. Places are quantised, so that edges and sums of
+//! corners are worked out for all three axes in one word.
 
 use super::corners::{BATCH, Sink};
-use super::grid::{Corner, LOCAL_BITS, STEPS, absolute, coordinates, is_far};
-use super::sampling::{SampleWorker, draw};
-use super::sums::{Gatherer, Share, Sums};
+use super::grid::{COORDINATE_BITS, Corner, FIELD_BITS, LOCAL_BITS, STEPS, absolute, is_far};
+use super::sampling::{SampleWorker, scramble, seed};
+use super::sums::{Gatherer, Plane, Share, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
-use glam::{Vec3, Vec3A};
+use wide::f32x4;
 
 /// One worker of the face pass.
 pub(super) struct FaceWorker<'a> {
@@ -32,30 +33,36 @@ pub(super) const BATCH_BYTES: usize = size_of::<Batch>();
 
 /// Faces between two stages: those within a cell first, those across cells behind them.
 struct Batch {
-    faces: [[Corner; 3]; BATCH],
-    /// The edges from the first corner to the others, in steps; of [`Batch::long`] ones anything.
-    edges: [[[i32; BATCH]; 3]; 2],
-    /// What chance draws of a face.
+    /// The edges from the first corner to the others, in steps, plus [`MIDDLE`]; of [`Batch::long`] ones anything.
+    edges: [[[u16; BATCH]; 3]; 2],
+    /// What chance draws of a face, yet to be scrambled.
     lots: [u32; BATCH],
-    /// Faces with an edge too long for products of 32 bits, and how many these are.
+    /// Faces with an edge too long for 16 bits, and how many these are.
     long: [u16; BATCH],
     longs: usize,
     /// Faces that ask for samples, and how many of them each.
     sampled: [u16; BATCH],
     samples: [u32; BATCH],
-    /// Cross product of two edges, later the unit normal.
-    x: [f32; BATCH],
-    y: [f32; BATCH],
-    z: [f32; BATCH],
-    /// Weight in quanta.
-    w: [f32; BATCH],
+    /// Cross products of the two edges.
+    crosses: [[f32; BATCH]; 3],
+    /// Unit normals, and weights in quanta.
+    planes: [Plane; BATCH],
+    /// Weights again, one after the other.
+    weights: [f32; BATCH],
+    /// What each face adds to each of its cells, and how many of these there are.
+    shares: [Share; 3 * BATCH],
+    count: usize,
 }
 
-/// Faces from anywhere whose cells' lines are fetched together: few enough for the first-level cache.
-const AT_ONCE: usize = 64;
+/// What stands for an edge of no extent along an axis: where both its ends are at most [`NEAR`] cells apart along each,
+/// an edge is in `1..1 << 16` then.
+const MIDDLE: u16 = 1 << 15;
+const NEAR: u64 = 3;
 
-/// Edges whose products, and differences of two of them, are exact in 32 bits.
-const SHORT: i64 = (1 << 15) - 1;
+/// One in each field of three packed places in a cell.
+const EACH_FIELD: u64 = 1 | 1 << FIELD_BITS | 1 << (2 * FIELD_BITS);
+/// One in each coordinate of a key.
+const EACH_COORDINATE: u64 = 1 | 1 << COORDINATE_BITS | 1 << (2 * COORDINATE_BITS);
 
 /// What cross products are scaled by, so that no square of one can overflow or vanish: they are 1 to 2⁶⁹ steps².
 const CROSS_SCALE: f32 = 1.0 / (1u64 << 32) as f32;
@@ -70,19 +77,18 @@ impl<'a> FaceWorker<'a> {
         quantum: f64,
         coherent: bool,
     ) -> Self {
-        let lanes = [0.0; BATCH];
         let batch = Batch {
-            faces: [[Corner::default(); 3]; BATCH],
             edges: [[[0; BATCH]; 3]; 2],
             lots: [0; BATCH],
             long: [0; BATCH],
             longs: 0,
             sampled: [0; BATCH],
             samples: [0; BATCH],
-            x: lanes,
-            y: lanes,
-            z: lanes,
-            w: lanes,
+            crosses: [[0.0; BATCH]; 3],
+            planes: [Plane::default(); BATCH],
+            weights: [0.0; BATCH],
+            shares: [Share::default(); 3 * BATCH],
+            count: 0,
         };
         FaceWorker {
             table,
@@ -102,133 +108,107 @@ impl<'a> FaceWorker<'a> {
         self.appender.flush();
         self.samples.iter_mut().for_each(SampleWorker::flush);
     }
-
-    /// Adds the plane of a face within one cell to it.
-    #[inline(always)]
-    fn add_inside<const COHERENT: bool>(&mut self, i: usize) {
-        let batch = &*self.batch;
-        let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
-        let [p, q, r] = batch.faces[i].map(Corner::local);
-        let sum = |axis: usize| (p[axis] + q[axis] + r[axis]) as f32;
-        let share = Share::new(n, place(Vec3A::new(sum(0), sum(1), sum(2)), 3.0), w);
-        let cell = batch.faces[i][0].cell();
-        if COHERENT { self.gatherer.add(cell, &share) } else { self.gatherer.add_now(cell, &share) }
-    }
-
-    /// Adds a face's plane to each of its cells, once.
-    #[inline(always)]
-    fn add_across<const COHERENT: bool>(&mut self, i: usize) {
-        let batch = &*self.batch;
-        let face = batch.faces[i];
-        let (n, w) = (Vec3A::new(batch.x[i], batch.y[i], batch.z[i]), batch.w[i]);
-        let [p, q, r] = face.map(|corner| Vec3A::from(corner.local().map(|x| x as f32)));
-        let cells @ [a, b, c] = face.map(Corner::cell);
-        let mut add = |cell, sum, corners| {
-            let share = Share::new(n, place(sum, corners), w);
-            if COHERENT { self.gatherer.add(cell, &share) } else { self.gatherer.add_now(cell, &share) }
-        };
-        if a == b {
-            add(a, p + q, 2.0);
-            add(c, r, 1.0);
-        } else if b == c {
-            add(b, q + r, 2.0);
-            add(a, p, 1.0);
-        } else if c == a {
-            add(c, r + p, 2.0);
-            add(b, q, 1.0);
-        } else {
-            add(a, p, 1.0);
-            add(b, q, 1.0);
-            add(c, r, 1.0);
-            self.appender.push(cells);
-        }
-    }
 }
 
 impl Sink for FaceWorker<'_> {
-    fn take(&mut self, faces: &[[Corner; 3]]) {
-        let (inside, end) = (self.batch.sort_apart(faces), faces.len().min(BATCH));
+    fn take(&mut self, faces: &[[Corner; 3]], inside: usize) {
+        let end = faces.len().min(BATCH);
+        let (faces, inside) = (&faces[..end], inside.min(end));
         if !self.coherent {
-            self.table.fetch(self.batch.faces[inside..end].as_flattened().iter().map(|corner| corner.cell()));
+            self.table.fetch(faces[inside..].as_flattened().iter().map(|corner| corner.cell()));
         }
-        self.batch.edges_inside(inside);
-        self.batch.edges_across(inside, end, self.table);
+        self.batch.start_inside(&faces[..inside]);
+        self.batch.edges_across(faces, inside, self.table);
+        self.batch.shares_across(faces, inside, &mut self.appender);
         self.batch.cross(end);
-        self.batch.cross_long(self.table);
+        self.batch.cross_long(faces, self.table);
         self.flat_faces += u64::from(self.batch.normalise(end, self.quanta));
         if let Some(samples) = &mut self.samples {
             let asking = self.batch.sample(end, samples.rate());
             let batch = &*self.batch;
             for &i in &batch.sampled[..asking] {
                 let i = usize::from(i);
-                samples.add(batch.faces[i], batch.samples[i], Vec3::new(batch.x[i], batch.y[i], batch.z[i]));
+                samples.add(faces[i], batch.samples[i], batch.planes[i].normal());
             }
         }
+        let (planes, shares) = (&self.batch.planes, &self.batch.shares[..self.batch.count]);
         if self.coherent {
-            (0..inside).for_each(|i| self.add_inside::<true>(i));
-            (inside..end).for_each(|i| self.add_across::<true>(i));
-            return;
-        }
-        for first in (0..end).step_by(AT_ONCE) {
-            let last = (first + AT_ONCE).min(end);
-            let cells = self.batch.faces[first..last].as_flattened().iter().map(|corner| corner.cell());
-            self.gatherer.fetch(cells);
-            (first..last.min(inside)).for_each(|i| self.add_inside::<false>(i));
-            (first.max(inside)..last).for_each(|i| self.add_across::<false>(i));
+            self.gatherer.add(planes, shares);
+        } else {
+            self.gatherer.add_now(planes, shares);
         }
     }
 }
 
 impl Batch {
-    /// Takes faces in, those with all corners in one cell first; returns how many these are. Which is which is as good
-    /// as random, so this is done without a branch.
-    fn sort_apart(&mut self, faces: &[[Corner; 3]]) -> usize {
-        let (mut inside, mut across) = (0, faces.len().min(BATCH));
-        for face in faces.iter().take(BATCH) {
-            let [a, b, c] = face.map(|corner| corner.0);
-            let same = ((a ^ b) | (a ^ c)) >> (3 * LOCAL_BITS) == 0;
-            let place = if same { inside } else { across - 1 };
-            self.faces[place] = *face;
-            inside += usize::from(same);
-            across -= usize::from(!same);
+    /// Edges and shares of faces within a cell.
+    fn start_inside(&mut self, faces: &[[Corner; 3]]) {
+        const FROM: u64 = MIDDLE as u64 * EACH_FIELD;
+        let faces = &faces[..faces.len().min(BATCH)];
+        for (i, face) in faces.iter().enumerate() {
+            let [p, q, r] = face.map(Corner::fields);
+            self.put_edges(i, q + FROM - p, r + FROM - p);
+            self.lots[i] = seed(*face);
+            self.shares[i] = Share::new(face[0].cell(), i, p + q + r, 3);
         }
-        inside
+        self.count = faces.len();
     }
 
-    /// Edges of faces within a cell.
-    fn edges_inside(&mut self, inside: usize) {
-        let [us, vs] = &mut self.edges;
-        for (i, (face, lot)) in self.faces[..inside].iter().zip(&mut self.lots).enumerate() {
-            let [p, q, r] = face.map(Corner::local);
-            for (k, (u, v)) in us.iter_mut().zip(vs.iter_mut()).enumerate() {
-                u[i] = q[k] - p[k];
-                v[i] = r[k] - p[k];
-            }
-            *lot = draw(*face);
+    /// Edges of faces across cells, which are those from `inside` on.
+    fn edges_across(&mut self, faces: &[[Corner; 3]], inside: usize, table: &CellTable) {
+        const FROM: u64 = (MIDDLE as u64 - (NEAR << LOCAL_BITS)) * EACH_FIELD;
+        let faces = &faces[..faces.len().min(BATCH)];
+        let mut longs = 0;
+        for i in inside..faces.len() {
+            let keys = faces[i].map(|corner| table.key(corner.cell()));
+            // How many cells further a corner is than the first, plus NEAR: of a corner that is not near, or that
+            // leads a coordinate to borrow, a bit above the lowest three is set, or is so one further on.
+            let further = |key: u64| key.wrapping_add(NEAR * EACH_COORDINATE).wrapping_sub(keys[0]);
+            let (to_q, to_r) = (further(keys[1]), further(keys[2]));
+            let beyond = |to: u64| (to | to.wrapping_add(EACH_COORDINATE)) & !(7 * EACH_COORDINATE);
+            let is_long = beyond(to_q) | beyond(to_r) != 0 || is_far(keys[0] | keys[1] | keys[2]);
+            self.long[longs % BATCH] = i as u16;
+            longs += usize::from(is_long);
+
+            let [p, q, r] = faces[i].map(Corner::fields);
+            let cells = |to: u64| {
+                let along = |axis: u32| (to >> (axis * COORDINATE_BITS) & 7) << (axis * FIELD_BITS + LOCAL_BITS);
+                (along(0) | along(1) | along(2)) + FROM
+            };
+            self.put_edges(i, (q + cells(to_q)).wrapping_sub(p), (r + cells(to_r)).wrapping_sub(p));
+            self.lots[i] = seed(faces[i]);
         }
-        self.longs = 0;
+        self.longs = longs;
     }
 
-    /// Edges of faces across cells.
-    fn edges_across(&mut self, inside: usize, end: usize, table: &CellTable) {
-        let [us, vs] = &mut self.edges;
-        for i in inside..end {
-            let face = self.faces[i];
-            let keys = face.map(|corner| table.key(corner.cell()));
-            let (at, local) = (keys.map(coordinates), face.map(Corner::local));
-            let mut beyond = 0u64;
-            for (k, (us, vs)) in us.iter_mut().zip(vs.iter_mut()).enumerate() {
-                let place = |corner: usize| (at[corner][k] << LOCAL_BITS) + i64::from(local[corner][k]);
-                let (u, v) = (place(1) - place(0), place(2) - place(0));
-                beyond |= (u + SHORT) as u64 | (v + SHORT) as u64;
-                us[i] = u as i32;
-                vs[i] = v as i32;
+    /// Shares of faces across cells: one in each of a face's cells, without a branch. Those with three survive.
+    fn shares_across(&mut self, faces: &[[Corner; 3]], inside: usize, survivors: &mut Appender) {
+        let mut count = self.count;
+        for (i, face) in (inside..).zip(&faces[inside..]) {
+            let cells @ [a, b, c] = face.map(Corner::cell);
+            let [p, q, r] = face.map(Corner::fields);
+            let (ab, bc, ca) = (a == b, b == c, c == a);
+            let only_if = |is_so: bool, fields: u64| fields & u64::from(is_so).wrapping_neg();
+            let mut add = |is_new: bool, cell: u32, sum: u64, places: u16| {
+                self.shares[count] = Share::new(cell, i, sum, places);
+                count += usize::from(is_new);
+            };
+            add(true, a, p + only_if(ab, q) + only_if(ca, r), 1 + u16::from(ab) + u16::from(ca));
+            add(!ab, b, q + only_if(bc, r), 1 + u16::from(bc));
+            add(!(bc | ca), c, r, 1);
+            if !(ab | bc | ca) {
+                survivors.push(cells);
             }
-            self.lots[i] = draw(face);
-            // What is at most SHORT either way has no bit above those of its double now.
-            let is_long = beyond > 2 * SHORT as u64 + 1 || is_far(keys[0] | keys[1] | keys[2]);
-            self.long[self.longs] = i as u16;
-            self.longs += usize::from(is_long);
+        }
+        self.count = count;
+    }
+
+    #[inline(always)]
+    fn put_edges(&mut self, i: usize, u: u64, v: u64) {
+        let [us, vs] = &mut self.edges;
+        for (axis, (us, vs)) in (0..).zip(us.iter_mut().zip(vs)) {
+            us[i] = (u >> (axis * FIELD_BITS)) as u16;
+            vs[i] = (v >> (axis * FIELD_BITS)) as u16;
         }
     }
 
@@ -238,29 +218,32 @@ impl Batch {
         let minor = |to: &mut [f32; BATCH], i: usize, j: usize| {
             let factors = u[i][..end].iter().zip(&v[j]).zip(u[j].iter().zip(&v[i]));
             for (to, ((a, d), (b, c))) in to.iter_mut().zip(factors) {
-                *to = a.wrapping_mul(*d).wrapping_sub(b.wrapping_mul(*c)) as f32 * CROSS_SCALE;
+                let steps = |edge: &u16| i32::from(edge.wrapping_sub(MIDDLE) as i16);
+                *to = (steps(a) * steps(d)).wrapping_sub(steps(b) * steps(c)) as f32 * CROSS_SCALE;
             }
         };
-        minor(&mut self.x, 1, 2);
-        minor(&mut self.y, 2, 0);
-        minor(&mut self.z, 0, 1);
+        let [x, y, z] = &mut self.crosses;
+        minor(x, 1, 2);
+        minor(y, 2, 0);
+        minor(z, 0, 1);
     }
 
     /// The same for long edges.
-    fn cross_long(&mut self, table: &CellTable) {
+    fn cross_long(&mut self, faces: &[[Corner; 3]], table: &CellTable) {
         for &i in &self.long[..self.longs] {
             let i = usize::from(i);
-            let keys = self.faces[i].map(|corner| table.key(corner.cell()));
-            [self.x[i], self.y[i], self.z[i]] = long_cross(self.faces[i], keys);
+            let keys = faces[i].map(|corner| table.key(corner.cell()));
+            let cross = long_cross(faces[i], keys);
+            self.crosses.iter_mut().zip(cross).for_each(|(along, x)| along[i] = x);
         }
     }
 
     /// How many samples faces ask for: as many as their weight comes to, rounded up or down by what chance has drawn.
     /// Returns how many ask for any.
     fn sample(&mut self, end: usize, rate: f32) -> usize {
-        let counts = self.samples[..end].iter_mut().zip(&self.w).zip(&self.lots);
+        let counts = self.samples[..end].iter_mut().zip(&self.weights).zip(&self.lots);
         for ((count, w), lot) in counts {
-            *count = (w * rate + (lot >> 8) as f32 * (1.0 / (1 << 24) as f32)) as u32;
+            *count = (w * rate + (scramble(*lot) >> 8) as f32 * (1.0 / (1 << 24) as f32)) as u32;
         }
         let mut asking = 0;
         for (i, count) in self.samples[..end].iter().enumerate() {
@@ -274,14 +257,21 @@ impl Batch {
     /// counts a quantum: the mean of a cell with such faces only is defined. Returns how many there are.
     fn normalise(&mut self, end: usize, quanta: f32) -> u32 {
         let mut flat = 0;
-        let (x, y, z, w) = (&mut self.x[..end], &mut self.y[..end], &mut self.z[..end], &mut self.w[..end]);
-        for (((x, y), z), w) in x.iter_mut().zip(y).zip(z).zip(w) {
-            let length = (*x * *x + *y * *y + *z * *z).sqrt();
+        let [x, y, z] = self.crosses.each_ref().map(|along| along.as_chunks::<4>().0);
+        let planes = self.planes.as_chunks_mut::<4>().0.iter_mut().zip(self.weights.as_chunks_mut::<4>().0);
+        for (first, ((planes, weights), ((x, y), z))) in (0..end).step_by(4).zip(planes.zip(x.iter().zip(y).zip(z))) {
+            let (x, y, z) = (f32x4::from(*x), f32x4::from(*y), f32x4::from(*z));
+            let length = (x * x + y * y + z * z).sqrt();
             // The least length is CROSS_SCALE: a zero vector stays one.
-            let inverse = 1.0 / length.max(0.5 * CROSS_SCALE);
-            (*x, *y, *z) = (*x * inverse, *y * inverse, *z * inverse);
-            *w = (length * quanta).max(1.0);
-            flat += u32::from(length == 0.0);
+            let inverse = f32x4::ONE / length.fast_max(f32x4::splat(0.5 * CROSS_SCALE));
+            let weight = (length * f32x4::splat(quanta)).fast_max(f32x4::ONE);
+            for (plane, of) in planes.iter_mut().zip(f32x4::transpose([x * inverse, y * inverse, z * inverse, weight]))
+            {
+                *plane = Plane(of.to_array());
+            }
+            *weights = weight.to_array();
+            let there = 0xf >> (first + 4).saturating_sub(end);
+            flat += (length.simd_eq(f32x4::ZERO).to_bitmask() & there).count_ones();
         }
         flat
     }
@@ -301,10 +291,4 @@ fn long_cross(face: [Corner; 3], keys: [u64; 3]) -> [f32; 3] {
 
 fn wide(u: [i64; 3], v: [i64; 3], i: usize, j: usize) -> f32 {
     (i128::from(u[i]) * i128::from(v[j]) - i128::from(u[j]) * i128::from(v[i])) as f32
-}
-
-/// A place as mean of `corners` in steps from the cell's least corner, as one in cells about its centre.
-#[inline(always)]
-fn place(sum: Vec3A, corners: f32) -> Vec3A {
-    sum * (1.0 / (corners * STEPS as f32)) - 0.5
 }

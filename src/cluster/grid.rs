@@ -206,6 +206,9 @@ pub(super) fn absolute(corner: Corner, key: u64) -> [i64; 3] {
 #[repr(transparent)]
 pub(super) struct Corner(pub(super) u64);
 
+/// Bits of a field of [`Corner::fields`].
+pub(super) const FIELD_BITS: u32 = 16;
+
 /// Cells that a table can number.
 pub const MAX_CELLS: usize = (1 << 25) - 2;
 
@@ -225,6 +228,21 @@ impl Corner {
     #[inline(always)]
     pub(super) fn cell(self) -> u32 {
         (self.0 >> (3 * LOCAL_BITS)) as u32
+    }
+
+    /// Whether another corner is in the same cell.
+    #[inline(always)]
+    pub(super) fn same_cell(self, other: Corner) -> bool {
+        (self.0 ^ other.0) >> (3 * LOCAL_BITS) == 0
+    }
+
+    /// The place within the cell in one word, [`FIELD_BITS`] an axis, the first one lowest: sums of up to eight of them do
+    /// not carry.
+    #[inline(always)]
+    pub(super) fn fields(self) -> u64 {
+        const MASK: u64 = (1 << LOCAL_BITS) - 1;
+        let along = |axis: u32| (self.0 >> ((2 - axis) * LOCAL_BITS) & MASK) << (axis * FIELD_BITS);
+        along(0) | along(1) | along(2)
     }
 
     /// The place within the cell, in steps from its least corner.

@@ -7,7 +7,7 @@
 //! A face gets as many samples as its area asks for, rounded up or down by a hash of where it lies: neither threads nor
 //! the order of faces decide. Were there more than was estimated, all go whose level is too low.
 
-use super::grid::{Corner, Grid, LOCAL_BITS, STEPS, absolute, is_far};
+use super::grid::{Corner, Grid, LOCAL_BITS, STEPS, coordinates, is_far};
 use super::table::{CellTable, mix};
 use crate::error::{Error, Result};
 use crate::mesh::samples::{LEVELS, Lattice, SAMPLE_BYTES, SampleFile, SurfaceSample, fold, level_for};
@@ -28,10 +28,19 @@ const SLACK: u64 = 2;
 const LOCAL: u64 = (1 << (3 * LOCAL_BITS)) - 1;
 
 /// What chance draws of a face, whichever of its corners comes first.
+fn draw(face: [Corner; 3]) -> u32 {
+    scramble(seed(face))
+}
+
+/// What that is drawn from.
 #[inline(always)]
-pub(super) fn draw(face: [Corner; 3]) -> u32 {
+pub(super) fn seed(face: [Corner; 3]) -> u32 {
     let sum = face.iter().fold(0, |sum, corner| sum + (corner.0 & LOCAL));
-    let hash = (sum ^ sum >> 26) as u32;
+    (sum ^ sum >> 26) as u32
+}
+
+#[inline(always)]
+pub(super) fn scramble(hash: u32) -> u32 {
     let hash = (hash ^ hash >> 16).wrapping_mul(0x7feb_352d);
     let hash = (hash ^ hash >> 15).wrapping_mul(0x846c_a68b);
     hash ^ hash >> 16
@@ -152,7 +161,11 @@ impl<'a> SampleWorker<'a> {
         } else {
             [2, 0, 1]
         };
-        let at = least.map(|i| DVec3::from(absolute(face[i], keys[i]).map(|x| x as f64)));
+        let at = least.map(|i| {
+            let (cell, local) = (coordinates(keys[i]), face[i].local());
+            let along = |axis: usize| ((cell[axis] << LOCAL_BITS) + i64::from(local[axis])) as f64;
+            DVec3::new(along(0), along(1), along(2))
+        });
         let (first, u, v) = (at[0], at[1] - at[0], at[2] - at[0]);
         let folded = fold(normal);
         let mut hash = u64::from(draw(face)) ^ (face[least[0]].0 & LOCAL) << 32;

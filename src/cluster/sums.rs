@@ -10,25 +10,29 @@
 //! Lines are 64 bytes with their lock. Locking one for every contribution would cost more than the arithmetic, so each
 //! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row.
 
-use glam::{Vec3A, Vec4, Vec4Swizzles};
+use super::grid::STEPS;
+use glam::{Vec3, Vec4, Vec4Swizzles};
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use wide::f32x4;
+use wide::{f32x4, i32x4};
 
 /// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
 /// The lane of the weight.
 const WEIGHT: usize = 10;
-/// Lanes of a contribution: the same, with two unused before the weight, so that four vectors make it.
+/// Lanes of a contribution, so that four vectors make it: the same before the weight, two unused, `Σwx Σwy Σwz w`.
 const PADDED: usize = 16;
 /// The lane of a contribution's weight.
-const PADDED_WEIGHT: usize = 12;
+const PADDED_WEIGHT: usize = PADDED - 1;
 /// Largest weight of a line, with some room for the rounding of single contributions.
 const LIMIT: i64 = (1 << 31) - (1 << 20);
 /// Largest weight of one contribution: 2¹⁴ of them do not overflow a side sum. A face of that weight has thousands of
 /// times the area that the whole scan was estimated to have.
 const HEAVIEST: f32 = (1u64 << 48) as f32;
+
+/// Shares whose lines are fetched together: few enough for the first-level cache.
+const AT_ONCE: usize = 64;
 
 /// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.
 const CACHED: usize = 2048;
@@ -55,30 +59,58 @@ pub(super) struct Sums {
     overflowed: AtomicBool,
 }
 
-/// One face's share in a cell, in quanta: about the cell's centre, lengths in cells. Single precision is finer than the
-/// rounding to quanta that follows.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Share([Vec4; PADDED / 4]);
+/// A face's unit normal (zero for one without area), and its weight in quanta, which is at least 1.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Plane(pub(super) [f32; 4]);
 
-impl Share {
-    /// The plane with unit normal `n` (zero for a face without area) through `p`, and `p` itself, with weight `w` ≥ 1.
-    #[inline(always)]
-    pub(super) fn new(n: Vec3A, p: Vec3A, w: f32) -> Self {
-        let w = w.min(HEAVIEST);
-        let u = n.extend(-n.dot(p));
-        let m = u * w;
-        let place = Vec4::new(1.0, p.x, p.y, p.z);
-        Share([u * m.xxxx(), u.yzwz() * m.yyyz(), u.wwww() * m.zwww(), place * w])
+impl Plane {
+    /// The unit normal.
+    pub(super) fn normal(&self) -> Vec3 {
+        Vec4::from(self.0).truncate()
     }
 
     #[inline(always)]
     fn weight(&self) -> f32 {
-        self.0[PADDED_WEIGHT / 4].x
+        self.0[3]
+    }
+}
+
+/// One face's share in a cell: the mean of those corners that are in it, and which of some planes goes through it.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Share {
+    /// The sum of the corners' places in steps from the cell's least corner, and 0.
+    sum: [i32; 4],
+    cell: u32,
+    plane: u16,
+    corners: u16,
+}
+
+/// What sums of so many places are to be multiplied by for their mean in cells.
+const MEAN: [f32; 4] = [0.0, 1.0 / STEPS as f32, 1.0 / (2.0 * STEPS as f32), 1.0 / (3.0 * STEPS as f32)];
+/// From a cell's least corner to its centre; and 1, which is where the weight is to be.
+const CENTRE: f32x4 = f32x4::new([-0.5, -0.5, -0.5, 1.0]);
+
+impl Share {
+    /// In the cell of one to three `corners`, whose places' fields add up to `sum`.
+    #[inline(always)]
+    pub(super) fn new(cell: u32, plane: usize, sum: u64, corners: u16) -> Self {
+        // The first two apart by a word's half, so that they are stored together.
+        let low = sum & 0xffff | (sum & 0xffff_0000) << 16;
+        let sum = [low as i32, (low >> 32) as i32, (sum >> 32) as i32, 0];
+        Share { sum, cell, plane: plane as u16, corners }
     }
 
-    fn lanes(&self) -> [f32; PADDED] {
-        let [a, b, c, d] = self.0.map(|x| x.to_array());
-        std::array::from_fn(|i| [a, b, c, d][i / 4][i % 4])
+    /// What the plane with `weight` through the share's place adds, in quanta: about the cell's centre, lengths in
+    /// cells. Single precision is finer than the rounding to quanta that follows.
+    #[inline(always)]
+    fn lanes(&self, plane: &Plane, weight: f32) -> [Vec4; PADDED / 4] {
+        let mean = f32x4::splat(MEAN[usize::from(self.corners) % MEAN.len()]);
+        let place = Vec4::from((i32x4::from(self.sum).round_float() * mean + CENTRE).to_array());
+        let n = Vec4::from(plane.0);
+        let along = n * place;
+        let u = n.with_w(-((along.x + along.y) + along.z));
+        let m = u * weight;
+        [u * m.xxxx(), u.yzwz() * m.yyyz(), u.wwww() * m.zwww(), place * weight]
     }
 }
 
@@ -102,55 +134,61 @@ impl<'a> Gatherer<'a> {
         Gatherer { sums, cache: Box::new([Cached([0; PADDED]); CACHED]), owners: Box::new([NOBODY; CACHED]) }
     }
 
-    /// Adds a face's share to a cell, by way of the cache: for faces whose neighbours come next.
-    #[inline(always)]
-    pub(super) fn add(&mut self, cell: u32, share: &Share) {
-        let Some(share) = self.narrow(cell, share) else { return };
-        let place = cell as usize % CACHED;
-        let line = &mut self.cache[place].0;
-        if self.owners[place] != cell || i64::from(line[PADDED_WEIGHT]) + i64::from(share[PADDED_WEIGHT]) > LIMIT {
-            self.sums.write_back(self.owners[place], line);
-            self.owners[place] = cell;
-        }
-        for (sum, x) in line.iter_mut().zip(share) {
-            *sum = sum.wrapping_add(x);
+    /// Adds shares in `planes` to their cells, by way of the cache: for faces whose neighbours come next.
+    pub(super) fn add(&mut self, planes: &[Plane], shares: &[Share]) {
+        for share in shares {
+            let Some(quanta) = self.round(planes, share) else { continue };
+            let (cell, place) = (share.cell, share.cell as usize % CACHED);
+            let line = &mut self.cache[place].0;
+            // Neither is negative or beyond the limit.
+            let weight = line[PADDED_WEIGHT].cast_unsigned() + quanta[PADDED_WEIGHT].cast_unsigned();
+            if self.owners[place] != cell || weight > LIMIT as u32 {
+                self.sums.write_back(self.owners[place], line);
+                self.owners[place] = cell;
+            }
+            for (sum, x) in line.iter_mut().zip(quanta) {
+                *sum = sum.wrapping_add(x);
+            }
         }
     }
 
-    /// Adds a face's share to a cell at once: for faces from anywhere, whose lines were fetched.
-    #[inline(always)]
-    pub(super) fn add_now(&mut self, cell: u32, share: &Share) {
-        if let Some(share) = self.narrow(cell, share) {
-            self.sums.add(cell, &share);
+    /// Adds shares in `planes` to their cells at once: for faces from anywhere. Lines are brought near first, so that the
+    /// waits for them overlap.
+    pub(super) fn add_now(&mut self, planes: &[Plane], shares: &[Share]) {
+        for shares in shares.chunks(AT_ONCE) {
+            let mut poisoned = false;
+            for share in shares {
+                poisoned |= self.sums.lines[share.cell as usize].0.is_poisoned();
+            }
+            std::hint::black_box(poisoned);
+            for share in shares {
+                if let Some(quanta) = self.round(planes, share) {
+                    self.sums.add(share.cell, &quanta);
+                }
+            }
         }
     }
 
     /// A share in the 32 bits of a line; what does not fit goes aside at once.
     #[inline(always)]
-    fn narrow(&self, cell: u32, share: &Share) -> Option<[i32; PADDED]> {
-        if share.weight() > LIMIT as f32 {
-            self.add_wide(cell, share);
+    fn round(&self, planes: &[Plane], share: &Share) -> Option<[i32; PADDED]> {
+        let plane = &planes[usize::from(share.plane)];
+        if plane.weight() > LIMIT as f32 {
+            self.add_wide(plane, share);
             return None;
         }
         // A weight at the limit still fits 32 bits, and the other lanes are no larger.
-        let rounded = share.0.map(|x| f32x4::from(x.to_array()).fast_round_int().to_array());
+        let lanes = share.lanes(plane, plane.weight());
+        let rounded = lanes.map(|x| f32x4::from(x.to_array()).fast_round_int().to_array());
         Some(bytemuck::cast(rounded))
     }
 
     #[cold]
-    fn add_wide(&self, cell: u32, share: &Share) {
-        let wide =
-            share.lanes().map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
-        self.sums.add_aside(cell, &unpad(&wide));
-    }
-
-    /// Has the lines of cells that are about to be added to brought near, so that the waits for them overlap.
-    pub(super) fn fetch(&self, cells: impl Iterator<Item = u32>) {
-        let mut poisoned = false;
-        for cell in cells {
-            poisoned |= self.sums.lines[cell as usize].0.is_poisoned();
-        }
-        std::hint::black_box(poisoned);
+    fn add_wide(&self, plane: &Plane, share: &Share) {
+        let lanes: [f32; PADDED] =
+            bytemuck::cast(share.lanes(plane, plane.weight().min(HEAVIEST)).map(|x| x.to_array()));
+        let wide = lanes.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
+        self.sums.add_aside(share.cell, &unpad(&wide));
     }
 
     /// Hands all that was gathered to the sums.
@@ -165,7 +203,11 @@ impl<'a> Gatherer<'a> {
 /// A contribution's or a cached line's lanes without the unused ones.
 #[inline(always)]
 fn unpad<T: Copy>(lanes: &[T; PADDED]) -> [T; LANES] {
-    std::array::from_fn(|i| lanes[if i < WEIGHT { i } else { i + PADDED - LANES }])
+    std::array::from_fn(|i| match i {
+        ..WEIGHT => lanes[i],
+        WEIGHT => lanes[PADDED_WEIGHT],
+        _ => lanes[i + PADDED_WEIGHT - LANES],
+    })
 }
 
 impl Sums {
@@ -260,9 +302,10 @@ impl Totals {
 
 #[cfg(test)]
 mod tests {
+    use super::super::grid::FIELD_BITS;
     use super::*;
 
-    fn shares(count: u64) -> Vec<(u32, Share)> {
+    fn shares(count: u64) -> Vec<(Plane, Share)> {
         let mut state = 7u64;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -270,23 +313,45 @@ mod tests {
         };
         (0..count)
             .map(|i| {
-                let mut place = || Vec3A::new(random() - 0.5, random() - 0.5, random() - 0.5);
-                let (n, p) = (place().normalize_or_zero(), place());
+                let n = Vec3::new(random() - 0.5, random() - 0.5, random() - 0.5).normalize_or_zero();
                 // Every tenth outgrows a line at once, cell 3 by and by.
                 let w = if i % 10 == 0 { 3e9 } else { 2e7 } * random() + 1.0;
-                ((random() * 5000.0) as u32 % if i % 3 == 0 { 4 } else { 5000 }, Share::new(n, p, w))
+                let corners = 1 + i % 3;
+                let places = (0..3).fold(0, |all, _| all << FIELD_BITS | (8191.0 * random()) as u64 * corners);
+                let cell = (random() * 5000.0) as u32 % if i % 3 == 0 { 4 } else { 5000 };
+                (Plane(n.extend(w).to_array()), Share::new(cell, 0, places, corners as u16))
             })
             .collect()
     }
 
-    fn gather(shares: &[(u32, Share)], workers: usize) -> (Vec<[i64; LANES]>, usize) {
+    /// What a share adds, lane by lane.
+    fn lanes_of((plane, share): &(Plane, Share)) -> [f32; LANES] {
+        let [x, y, z, w] = plane.0;
+        let p: [f32; 3] =
+            std::array::from_fn(|k| share.sum[k] as f32 * (1.0 / (f32::from(share.corners) * 8192.0)) - 0.5);
+        let u = [x, y, z, -((x * p[0] + y * p[1]) + z * p[2])];
+        let m = u.map(|x| x * w);
+        let quadric = [(0, 0), (1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3)];
+        std::array::from_fn(|i| match i {
+            ..WEIGHT => u[quadric[i].0] * m[quadric[i].1],
+            WEIGHT => w,
+            _ => p[i - WEIGHT - 1] * w,
+        })
+    }
+
+    fn gather(shares: &[(Plane, Share)], workers: usize) -> (Vec<[i64; LANES]>, usize) {
         let sums = Sums::new(5000);
         std::thread::scope(|scope| {
             for part in shares.chunks(shares.len().div_ceil(workers)) {
                 let sums = &sums;
                 scope.spawn(move || {
                     let mut gatherer = Gatherer::new(sums);
-                    part.iter().for_each(|(cell, share)| gatherer.add(*cell, share));
+                    for (some, turn) in part.chunks(100).zip(0..) {
+                        let planes: Vec<Plane> = some.iter().map(|(plane, _)| *plane).collect();
+                        let shares: Vec<Share> =
+                            some.iter().zip(0..).map(|((_, share), plane)| Share { plane, ..*share }).collect();
+                        if turn % 2 == 0 { gatherer.add(&planes, &shares) } else { gatherer.add_now(&planes, &shares) }
+                    }
                     gatherer.flush();
                 });
             }
@@ -299,8 +364,8 @@ mod tests {
     fn sums_are_exact_whatever_the_order_and_the_threads() {
         let mut shares = shares(30_000);
         let mut expected = vec![[0i64; LANES]; 5000];
-        for (cell, share) in &shares {
-            for (sum, x) in expected[*cell as usize].iter_mut().zip(unpad(&share.lanes())) {
+        for share in &shares {
+            for (sum, x) in expected[share.1.cell as usize].iter_mut().zip(lanes_of(share)) {
                 *sum += x.round_ties_even() as i64;
             }
         }
@@ -321,9 +386,8 @@ mod tests {
 
     #[test]
     fn no_lane_exceeds_the_weight() {
-        for (_, share) in shares(10_000) {
-            let w = share.weight();
-            assert!(share.lanes().iter().all(|x| x.abs() <= w * (1.0 + 1e-6)));
+        for share in shares(10_000) {
+            assert!(lanes_of(&share).iter().all(|x| x.abs() <= share.0.weight() * (1.0 + 1e-6)));
         }
     }
 }

@@ -105,24 +105,18 @@ struct Found {
 /// The extent of all finite vertices, and with a grid the number of its cells and blocks that hold one.
 /// The vertices of a soup are counted from the first `corners` corners of its faces.
 fn pass(scan: &Scan, crew: &Crew, grid: Option<&Grid>, corners: usize) -> Result<Found> {
-    let see = |seen: &mut Seen, p: &[f64; 3]| {
-        if let Some(steps) = grid.and_then(|grid| grid.steps(*p)) {
-            seen.cells.add(cell_key(steps));
-            seen.blocks.add(block_key(steps));
-        }
-    };
     let seen = match scan.layout() {
         Layout::Indexed => scan.vertices(crew, Seen::default, |seen, chunk| {
             for p in chunk.positions {
                 seen.extent.include(DVec3::from(*p));
-                see(seen, p);
+                seen.see(grid, *p);
             }
             Ok(())
         })?,
         Layout::Soup => scan.soup(crew, Seen::default, |seen, chunk| {
             for face in chunk.triangles {
                 face.iter().for_each(|p| seen.extent.include(DVec3::from(*p)));
-                face.iter().take(corners).for_each(|p| see(seen, p));
+                face.iter().take(corners).for_each(|p| seen.see(grid, *p));
             }
             Ok(())
         })?,
@@ -141,6 +135,22 @@ struct Seen {
     extent: Extent,
     cells: Counted<CELLS>,
     blocks: Counted<BLOCKS>,
+    /// The key, plus one, of the cell of the vertex before, in which the next is likely to be, too.
+    last: u64,
+}
+
+impl Seen {
+    /// A vertex is here.
+    #[inline(always)]
+    fn see(&mut self, grid: Option<&Grid>, p: [f64; 3]) {
+        let Some(steps) = grid.and_then(|grid| grid.steps(p)) else { return };
+        let cell = cell_key(steps);
+        if self.last != cell.wrapping_add(1) {
+            self.last = cell.wrapping_add(1);
+            self.cells.add(cell);
+            self.blocks.add(block_key(steps));
+        }
+    }
 }
 
 /// Distinct keys, one in `1 << halvings` of them, chosen by hash. There are as few halvings as keep the set small: no

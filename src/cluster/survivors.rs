@@ -109,6 +109,12 @@ fn decode([a, b, c]: [u32; 3]) -> [u32; 3] {
     if c & FLIPPED == 0 { [a, b, c >> 1] } else { [a, c >> 1, b] }
 }
 
+/// What triples are sorted by: one number, since three are compared with branches that nobody can predict.
+#[inline]
+fn key([a, b, c]: [u32; 3]) -> u128 {
+    u128::from(a) << 64 | u128::from(b) << 32 | u128::from(c)
+}
+
 /// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
 /// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
 pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
@@ -117,7 +123,7 @@ pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Re
         .with_min_len(4096)
         .for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
     crew.progress.check()?;
-    triples.par_sort_unstable();
+    triples.par_sort_unstable_by_key(|triple| key(*triple));
     crew.progress.check()?;
     let (mut kept, mut pairs) = (0, 0);
     let mut next = 0;

@@ -268,7 +268,7 @@ fn samples_lie_on_the_scan_evenly_whatever_the_order() {
             let ring = DVec3::new(p.x, p.y, 0.0).normalize();
             let off = p - ring;
             assert!((off.length() - 0.3).abs() < 1e-3, "{p}");
-            assert!(sample.normal().as_dvec3().dot(off / off.length()) > 0.99, "{p}");
+            assert!(sample.direction().as_dvec3().normalize().dot(off / off.length()) > 0.99, "{p}");
             outside += usize::from(p.x.hypot(p.y) > 1.0);
             let vertex = DVec3::from(clustered.mesh.positions[sample.near as usize].map(f64::from)) * unit;
             assert!((vertex - p).length() < 4.0 * clustered.stats.cell_size, "{p} is near {vertex}");

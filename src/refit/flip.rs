@@ -126,14 +126,13 @@ fn candidate<S: Coordinate>(
     let (mut before_sq, mut after_sq) = (0.0, 0.0);
     for &k in samples.of(f as usize).iter().chain(samples.of(g as usize)) {
         let point = evidence.point(k);
-        let weight = point.normal.length();
         let distance_sq = |t: [u32; 3]| {
             let corners = t.map(|w| step(point.at, at(w)));
             let l = nearest_to_origin(corners);
             (corners[0] * l[0] + corners[1] * l[1] + corners[2] * l[2]).length_squared()
         };
-        before_sq += weight * distance_sq(face).min(distance_sq(ground.mesh.faces[g as usize]));
-        after_sq += weight * distance_sq(would[0]).min(distance_sq(would[1]));
+        before_sq += point.weight * distance_sq(face).min(distance_sq(ground.mesh.faces[g as usize]));
+        after_sq += point.weight * distance_sq(would[0]).min(distance_sq(would[1]));
     }
     let gain = before_sq - after_sq;
     let rounding_sq = ROUNDING * ROUNDING * was[0].length() * step(at(u), at(v)).length_squared();

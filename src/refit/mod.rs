@@ -229,7 +229,7 @@ fn ask<S: Coordinate>(ground: Ground<S>, evidence: &impl Evidence<S>, samples: &
             let point = evidence.point(k);
             let at = step(a, point.at);
             (0..3).for_each(|axis| axes[axis][i] = at[axis]);
-            weights[i] = point.normal.length();
+            weights[i] = point.weight;
         }
         let found = triangles.nearest(Vec3x8::from_axes(axes));
         wishes.add(f32x8::from(weights), found.weights, found.step);

@@ -74,9 +74,9 @@ impl<S: Coordinate> Evidence<S> for Scanned<'_> {
     #[inline(always)]
     fn point(&self, k: u32) -> Point<S> {
         let sample = &self.samples.samples[k as usize];
-        // As long as three points a face would make it.
-        let length = SIXFOLD * self.samples.area;
-        Point { at: self.samples.lattice.position(sample), normal: sample.normal() * length as f32 }
+        // As heavy as three points a face would make it.
+        let weight = (SIXFOLD * self.samples.area) as f32;
+        Point { at: self.samples.lattice.position(sample), normal: sample.direction(), weight }
     }
 
     fn near(&self, k: u32) -> Option<u32> {
@@ -95,8 +95,10 @@ const SIXFOLD: f64 = 6.0;
 /// A point on a face, and what it stands for.
 pub(super) struct Point<S> {
     pub at: [S; 3],
-    /// Twice the area times the unit normal of its face.
+    /// The direction of its face's normal; of any length.
     pub normal: Vec3,
+    /// Twice the area of its face.
+    pub weight: f32,
 }
 
 impl<S: Coordinate> Point<S> {
@@ -105,7 +107,8 @@ impl<S: Coordinate> Point<S> {
         let [a, b, c] = mesh.faces[face].map(|v| mesh.positions[v as usize]);
         let (ab, ac) = (step(a, b), step(a, c));
         let along = ab * weights[1] + ac * weights[2];
-        Point { at: narrow(widen(a) + along.as_dvec3()), normal: ab.cross(ac) }
+        let normal = ab.cross(ac);
+        Point { at: narrow(widen(a) + along.as_dvec3()), normal, weight: normal.length() }
     }
 }
 
