@@ -157,10 +157,9 @@ impl Batch {
     /// Edges of faces across cells, which are those from `inside` on.
     fn edges_across(&mut self, faces: &[[Corner; 3]], inside: usize, table: &CellTable) {
         const FROM: u64 = (MIDDLE as u64 - (NEAR << LOCAL_BITS)) * EACH_FIELD;
-        let faces = &faces[..faces.len().min(BATCH)];
         let mut longs = 0;
-        for i in inside..faces.len() {
-            let keys = faces[i].map(|corner| table.key(corner.cell()));
+        for (i, face) in (inside..BATCH).zip(&faces[inside..]) {
+            let keys = face.map(|corner| table.key(corner.cell()));
             // How many cells further a corner is than the first, plus NEAR: of a corner that is not near, or that
             // leads a coordinate to borrow, a bit above the lowest three is set, or is so one further on.
             let further = |key: u64| key.wrapping_add(NEAR * EACH_COORDINATE).wrapping_sub(keys[0]);
@@ -170,13 +169,13 @@ impl Batch {
             self.long[longs % BATCH] = i as u16;
             longs += usize::from(is_long);
 
-            let [p, q, r] = faces[i].map(Corner::fields);
+            let [p, q, r] = face.map(Corner::fields);
             let cells = |to: u64| {
                 let along = |axis: u32| (to >> (axis * COORDINATE_BITS) & 7) << (axis * FIELD_BITS + LOCAL_BITS);
                 (along(0) | along(1) | along(2)) + FROM
             };
             self.put_edges(i, (q + cells(to_q)).wrapping_sub(p), (r + cells(to_r)).wrapping_sub(p));
-            self.lots[i] = seed(faces[i]);
+            self.lots[i] = seed(*face);
         }
         self.longs = longs;
     }
@@ -184,7 +183,7 @@ impl Batch {
     /// Shares of faces across cells: one in each of a face's cells, without a branch. Those with three survive.
     fn shares_across(&mut self, faces: &[[Corner; 3]], inside: usize, survivors: &mut Appender) {
         let mut count = self.count;
-        for (i, face) in (inside..).zip(&faces[inside..]) {
+        for (i, face) in (inside..BATCH).zip(&faces[inside..]) {
             let cells @ [a, b, c] = face.map(Corner::cell);
             let [p, q, r] = face.map(Corner::fields);
             let (ab, bc, ca) = (a == b, b == c, c == a);

@@ -317,7 +317,7 @@ mod tests {
                 // Every tenth outgrows a line at once, cell 3 by and by.
                 let w = if i % 10 == 0 { 3e9 } else { 2e7 } * random() + 1.0;
                 let corners = 1 + i % 3;
-                let places = (0..3).fold(0, |all, _| all << FIELD_BITS | (8191.0 * random()) as u64 * corners);
+                let places = (0..3).fold(0, |all, _| (all << FIELD_BITS) + (8191.0 * random()) as u64 * corners);
                 let cell = (random() * 5000.0) as u32 % if i % 3 == 0 { 4 } else { 5000 };
                 (Plane(n.extend(w).to_array()), Share::new(cell, 0, places, corners as u16))
             })

@@ -129,7 +129,7 @@ pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Re
     let mut next = 0;
     while next < triples.len() {
         let [a, b, c] = triples[next];
-        let group = triples[next..].iter().take_while(|t| **t <= [a, b, c | FLIPPED]).count();
+        let group = triples[next..].iter().take_while(|t| key(**t) >> 1 == key([a, b, c]) >> 1).count();
         let plain = triples[next..next + group].iter().take_while(|t| t[2] & FLIPPED == 0).count();
         let flipped = group - plain;
         let last = triples[next + group - 1];
