@@ -196,9 +196,18 @@ pub(super) fn least_corner(key: u64) -> [i64; 3] {
 
 /// A corner in steps from the origin.
 pub(super) fn absolute(corner: Corner, key: u64) -> [i64; 3] {
+    if !is_far(key) {
+        return absolute_near(corner, key);
+    }
     let (least, local) = (least_corner(key), corner.local());
-    let shift = if is_far(key) { FAR_BITS } else { 0 };
-    std::array::from_fn(|axis| least[axis] + (i64::from(local[axis]) << shift))
+    std::array::from_fn(|axis| least[axis] + (i64::from(local[axis]) << FAR_BITS))
+}
+
+/// The same of one that is not far.
+#[inline(always)]
+pub(super) fn absolute_near(corner: Corner, key: u64) -> [i64; 3] {
+    let (cell, local) = (coordinates(key), corner.local());
+    std::array::from_fn(|axis| (cell[axis] << LOCAL_BITS) + i64::from(local[axis]))
 }
 
 /// A binned corner: 25 bits of cell number and three times 13 bits of place in the cell.

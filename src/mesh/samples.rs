@@ -237,6 +237,7 @@ pub fn fold(n: Vec3) -> [i16; 2] {
     [x, y].map(|t| (t * 32767.0 + 0.5f32.copysign(t)) as i16)
 }
 
+/// The direction that [`fold`] made a point of, not normalised.
 #[inline]
 fn unfold(folded: [i16; 2]) -> Vec3 {
     let [x, y] = folded.map(|t| f32::from(t) / 32767.0);
