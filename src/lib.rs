@@ -55,6 +55,7 @@ pub mod budget;
 pub mod carry;
 pub mod cluster;
 pub mod collapse;
+mod cores;
 pub mod error;
 mod facets;
 pub mod inspect;

@@ -20,6 +20,7 @@ pub use render::render;
 use crate::carry::{self, carry};
 use crate::cluster::{ClusterOptions, ClusterStats, cluster};
 use crate::collapse::{self, Carried, Collapsed, collapse};
+use crate::cores::on_threads;
 use crate::error::{Error, Result};
 use crate::job::{Job, Level, Target, read_points};
 use crate::mesh::columns::Columns;
@@ -63,15 +64,6 @@ pub fn reduce_and_portray(job: &Job, portrait: Option<&PortraitAsked>, progress:
             Scalar::F64 => run.through::<f64>(out, coarser),
         }
     })
-}
-
-/// Works with so many threads of rayon's.
-fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?;
-    pool.install(work)
 }
 
 /// What a job that asks for so many faces of a scan is to be paid.

@@ -1,6 +1,7 @@
 //! Stages, timed: what goes in is made ready before, and what comes out is looked at.
 
 use crate::collapse::{self, Collapsed, Placement, Policies, Primitive, collapse};
+use crate::cores::on_threads;
 use crate::error::{Error, Result};
 use crate::job::DEFAULT_REFIT_ROUNDS;
 use crate::mesh::{Frame, IndexedMesh};
@@ -134,10 +135,4 @@ pub(super) fn median(runs: usize, mut run: impl FnMut() -> Result<f64>) -> Resul
     }
     seconds.sort_by(f64::total_cmp);
     Ok(seconds.get(seconds.len() / 2).copied().unwrap_or(0.0))
-}
-
-/// Works with so many threads of rayon's.
-fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    pool.map_err(|e| Error::usage(format!("cannot start {threads} threads: {e}")))?.install(work)
 }

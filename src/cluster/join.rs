@@ -11,6 +11,7 @@ use super::corners::{Feed, Sink};
 use super::grid::Corner;
 use super::spill::SpillFile;
 use super::used::Used;
+use crate::cores;
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::{Scratch, ScratchFile};
@@ -201,7 +202,12 @@ fn load(spill: &SpillFile, first: u64, corners: &mut [Corner], workers: usize) -
     let share = corners.len().div_ceil(workers.max(1)).max(1);
     std::thread::scope(|scope| {
         let parts: Vec<_> = (corners.chunks_mut(share).enumerate())
-            .map(|(i, part)| scope.spawn(move || spill.read(first + (i * share) as u64, part)))
+            .map(|(i, part)| {
+                scope.spawn(move || {
+                    cores::keep(i, workers);
+                    spill.read(first + (i * share) as u64, part)
+                })
+            })
             .collect();
         parts.into_iter().try_for_each(|part| part.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })
@@ -224,9 +230,15 @@ impl Sweep<'_> {
     fn run<K: Sink>(&self, crew: &Crew, feeds: &mut [Feed<'_, K>]) -> Result<()> {
         let next = AtomicUsize::new(0);
         std::thread::scope(|scope| {
-            let next = &next;
-            let workers: Vec<_> =
-                feeds.iter_mut().map(|feed| scope.spawn(move || self.work(crew, feed, next))).collect();
+            let (next, count) = (&next, feeds.len());
+            let workers: Vec<_> = (feeds.iter_mut().enumerate())
+                .map(|(worker, feed)| {
+                    scope.spawn(move || {
+                        cores::keep(worker, count);
+                        self.work(crew, feed, next)
+                    })
+                })
+                .collect();
             workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
         })
     }

@@ -4,6 +4,7 @@ use super::Representative;
 use super::grid::Grid;
 use super::sums::{LANES, Totals};
 use super::table::CellTable;
+use crate::cores;
 use crate::mesh::{Coordinate, narrow, widen};
 use crate::quadric::{PackedQuadric, Quadric};
 use crate::read::Crew;
@@ -31,8 +32,9 @@ impl Evidence<'_> {
         let share = cells.len().div_ceil(crew.workers.max(1)).max(1);
         std::thread::scope(|scope| {
             let parts = positions.chunks_mut(share).zip(quadrics.chunks_mut(share)).zip(cells.chunks(share));
-            for ((positions, quadrics), cells) in parts {
+            for (worker, ((positions, quadrics), cells)) in parts.enumerate() {
                 scope.spawn(move || {
+                    cores::keep(worker, crew.workers);
                     for ((position, quadric), cell) in positions.iter_mut().zip(quadrics).zip(cells) {
                         (*position, *quadric) = self.of(*cell);
                     }

@@ -7,6 +7,7 @@
 //! in doubles), the second freed behind the third, beside 12 (24) bytes a vertex.
 
 use super::{Choice, Facet, Feed, Idle, Place, Spill, Stride, tag};
+use crate::cores;
 use crate::error::Result;
 use crate::mesh::{Coordinate, widen};
 use crate::read::{Crew, Scan};
@@ -286,7 +287,12 @@ fn turns<W: Send>(
         }
     };
     std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..crew.workers.max(1)).map(|_| scope.spawn(work)).collect();
+        let count = crew.workers.max(1);
+        let kept = move |worker| {
+            cores::keep(worker, count);
+            work()
+        };
+        let workers: Vec<_> = (0..count).map(|worker| scope.spawn(move || kept(worker))).collect();
         workers.into_iter().map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     })
 }

@@ -18,7 +18,6 @@ pub use quantity::{Compactness, Count, Degrees, Length, MinComponent, Pairs, Rat
 pub use rendering::{DEFAULT_WIDTH, Rendering, RenderingSaid};
 pub use scans::{ScanTable, Scans};
 
-use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use crate::budget::{MIB, Size};
@@ -290,7 +289,7 @@ impl From<Policies> for CollapseTable {
 
 /// The cores that this process may use.
 pub fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, NonZero::get).min(Threads::MOST)
+    crate::cores::count().min(Threads::MOST)
 }
 
 impl Job {

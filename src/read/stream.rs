@@ -3,12 +3,14 @@
 //! The calling thread claims: it maps and populates the next window (so that a slow disk is read ahead of the work) and
 //! passes it on through a bounded channel; who works never waits for the disk unless the disk is what is slow. In flight
 //! are at most one window being claimed, [`AHEAD`] waiting and one a worker, and each is unmapped by the worker who used
-//! it. The workers are threads of this pass alone: blocking on a channel within a shared pool could starve the pool.
+//! it. The workers are threads of this pass alone: blocking on a channel within a shared pool could starve the pool. A pass
+//! of a few claims is over before threads would have started: the calling thread works those itself.
 //!
 //! What is claimed depends on the file only, never on the crew. When several claims fail, the error of the first in file
 //! order is the one returned: claims are taken up in order, and those before a failed one are always finished.
 
 use super::map::{Input, WINDOW_BYTES, Window};
+use crate::cores;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crossbeam::channel::{Receiver, Sender, bounded};
@@ -17,7 +19,7 @@ use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::SeqCst};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Claims that wait for a worker.
+/// Claims that wait for a worker. A pass that has no more than these starts no threads.
 const AHEAD: usize = 2;
 
 /// Vertices in a chunk, and the fewest triangles in any chunk but the last of a window.
@@ -45,10 +47,21 @@ impl Crew<'_> {
 /// `local` of its own, and returns those.
 pub(super) fn pump<C: Send, L: Send>(
     crew: &Crew<'_>,
-    next: impl FnMut() -> Result<Option<(C, u64)>>,
+    mut next: impl FnMut() -> Result<Option<(C, u64)>>,
     local: impl Fn() -> L + Sync,
     work: impl Fn(&mut L, C) -> Result<()> + Sync,
 ) -> Result<Vec<L>> {
+    let (first, end) = claim_first(crew, &mut next);
+    if let Some(end) = end {
+        let mut locals: Vec<L> = (0..crew.workers.max(1)).map(|_| local()).collect();
+        for (claim, bytes) in first {
+            work(&mut locals[0], claim)?;
+            crew.progress.add(bytes);
+        }
+        return end.map(|()| locals);
+    }
+    let mut first = first.into_iter();
+    let next = || first.next().map_or_else(&mut next, |claim| Ok(Some(claim)));
     let (sender, receiver) = bounded(AHEAD);
     let failure = Failure::default();
     let run = |receiver: Receiver<(u64, C, u64)>| {
@@ -66,10 +79,14 @@ pub(super) fn pump<C: Send, L: Send>(
         mine
     };
     let locals = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..crew.workers.max(1))
-            .map(|_| {
+        let count = crew.workers.max(1);
+        let workers: Vec<_> = (0..count)
+            .map(|worker| {
                 let (run, receiver) = (&run, receiver.clone());
-                scope.spawn(move || run(receiver))
+                scope.spawn(move || {
+                    cores::keep(worker, count);
+                    run(receiver)
+                })
             })
             .collect();
         // Only the workers hold receivers now: when the last of them leaves, sending fails instead of blocking.
@@ -78,6 +95,22 @@ pub(super) fn pump<C: Send, L: Send>(
         workers.into_iter().map(|w| w.join().unwrap_or_else(|panic| resume_unwind(panic))).collect()
     });
     failure.into_result().map(|()| locals)
+}
+
+/// The first claims, one more than [`AHEAD`] if there are so many; else how claiming has ended.
+fn claim_first<C>(
+    crew: &Crew,
+    next: &mut impl FnMut() -> Result<Option<(C, u64)>>,
+) -> (Vec<(C, u64)>, Option<Result<()>>) {
+    let mut first = Vec::new();
+    while first.len() <= AHEAD {
+        match crew.progress.check().and_then(|()| next()) {
+            Ok(Some(claim)) => first.push(claim),
+            Ok(None) => return (first, Some(Ok(()))),
+            Err(error) => return (first, Some(Err(error))),
+        }
+    }
+    (first, None)
 }
 
 /// Sends claim after claim until there are no more, nobody takes them or something failed.
@@ -295,23 +328,39 @@ mod tests {
 
     #[test]
     fn every_claim_is_worked_once_by_any_crew() {
-        for workers in [0, 1, 2, 3, 8] {
+        for (workers, claims) in [0, 1, 2, 3, 8].into_iter().flat_map(|w| [0, 1, 2, 3, 4, 1000].map(|n| (w, n))) {
             let progress = Progress::default();
             let crew = Crew { workers, progress: &progress };
             let sums = pump(
                 &crew,
-                numbers(1000),
+                numbers(claims),
                 || 0,
                 |sum, i| {
-                    *sum += i;
+                    *sum += i + 1;
                     Ok(())
                 },
             )
             .unwrap();
             assert_eq!(sums.len(), workers.max(1));
-            assert_eq!(sums.iter().sum::<u64>(), 499_500);
-            assert_eq!(progress.now().1, 1000);
+            assert_eq!(sums.iter().sum::<u64>(), claims * (claims + 1) / 2);
+            assert_eq!(progress.now().1, claims);
         }
+    }
+
+    #[test]
+    fn a_pass_of_a_few_claims_is_worked_by_its_caller() {
+        let progress = Progress::default();
+        let here = std::thread::current().id();
+        let alone = |claims: u64| {
+            let crew = Crew { workers: 2, progress: &progress };
+            let workers = pump(&crew, numbers(claims), Vec::new, |mine, _| {
+                mine.push(std::thread::current().id());
+                Ok(())
+            });
+            workers.unwrap().into_iter().flatten().all(|thread| thread == here)
+        };
+        assert!(alone(AHEAD as u64));
+        assert!(!alone(AHEAD as u64 + 1));
     }
 
     #[test]
@@ -339,17 +388,19 @@ mod tests {
     #[test]
     fn a_failed_claim_comes_after_the_failures_of_those_before_it() {
         let progress = Progress::default();
-        let mut i = 0;
-        let next = || {
-            i += 1;
-            if i > 3 { Err(Error::input(Path::new("f"), "claiming")) } else { Ok(Some((i, 1))) }
-        };
-        let fail_third = |_: &mut (), i: i32| {
-            std::thread::sleep(std::time::Duration::from_millis(5));
-            if i == 3 { Err(Error::input(Path::new("f"), "working")) } else { Ok(()) }
-        };
-        let error = pump(&Crew { workers: 2, progress: &progress }, next, || (), fail_third).unwrap_err();
-        assert_eq!(error.to_string(), "f: working");
+        for good in 1..=5 {
+            let mut i = 0;
+            let next = || {
+                i += 1;
+                if i > good { Err(Error::input(Path::new("f"), "claiming")) } else { Ok(Some((i, 1))) }
+            };
+            let fail_last = |_: &mut (), i: i32| {
+                std::thread::sleep(std::time::Duration::from_millis(5));
+                if i == good { Err(Error::input(Path::new("f"), "working")) } else { Ok(()) }
+            };
+            let error = pump(&Crew { workers: 2, progress: &progress }, next, || (), fail_last).unwrap_err();
+            assert_eq!(error.to_string(), "f: working");
+        }
     }
 
     #[test]
