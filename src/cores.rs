@@ -40,12 +40,14 @@ pub fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> Result<T> + Se
 pub fn keep(worker: usize, workers: usize) {
     use rustix::thread::{CpuSet, sched_setaffinity};
     let Some(given) = &GIVEN.cores else { return };
-    let mut mine = given.clone();
-    // Fewer may be granted than there are: then the system moves threads about.
-    if workers == GIVEN.count && workers == given.count() as usize {
-        let core = (0..CpuSet::MAX_CPU).filter(|core| given.is_set(*core)).nth(worker);
+    let mut mine = *given;
+    // Of more cores than the process is granted the time of, any may be the one to run on.
+    if workers == GIVEN.count
+        && workers == given.count() as usize
+        && let Some(core) = (0..CpuSet::MAX_CPU).filter(|core| given.is_set(*core)).nth(worker)
+    {
         mine.clear();
-        mine.set(core.unwrap_or(0));
+        mine.set(core);
     }
     // A thread that the system lets run anywhere does what it should, too, only later.
     let _ = sched_setaffinity(None, &mine);
