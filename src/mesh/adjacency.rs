@@ -120,7 +120,7 @@ mod tests {
     fn every_corner_is_in_the_star_of_its_vertex_and_nowhere_else() {
         let faces: Vec<[u32; 3]> = (0..997u32).map(|i| [i * 7 % 113, i * 13 % 113 + 5, i * 31 % 120]).collect();
         let mut stars = Stars::default();
-        for ranges in [1, 2, RANGES] {
+        for ranges in [1, 2, 3, RANGES] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(ranges).build().unwrap();
             pool.install(|| stars.rebuild_in(ranges, &faces, 121));
             let mut seen = 0;
