@@ -180,6 +180,39 @@ impl<S: Coordinate> Batch<S> {
     }
 }
 
+/// The edges at a vertex that may be chosen.
+pub(super) trait Edges {
+    /// Hands over what each costs, as bits (costs are never negative: their bits order as they do), and its other end. An edge
+    /// may come twice.
+    fn each(&self, take: impl FnMut(u32, u32));
+}
+
+/// The cheapest edge at `v` that costs less than `most`: its cost and its other end, or [`NONE`]. Ties go by hash: they are
+/// the rule on flat regions, where all costs are zero, and an order by number would let one edge in a row collapse at a time.
+/// Without branches on costs, which no processor can predict; hashes are looked at where they matter.
+#[inline(always)]
+pub(super) fn cheapest(v: u32, most: u32, edges: &impl Edges) -> (u32, u32) {
+    let (mut least, mut tied) = ((most, NONE), false);
+    edges.each(|cost, u| {
+        tied = cost == least.0 && u != least.1 || tied && cost >= least.0;
+        least = if cost < least.0 { (cost, u) } else { least };
+    });
+    if tied && least.1 != NONE { (least.0, first_by_hash(v, least.0, edges)) } else { least }
+}
+
+/// Among the edges at `v` of that cost the other end of the first by hash.
+#[cold]
+fn first_by_hash(v: u32, cost: u32, edges: &impl Edges) -> u32 {
+    let mut first = (u32::MAX, NONE);
+    edges.each(|found, u| {
+        let key = (hash(v.min(u), v.max(u)), u);
+        if found == cost && key < first {
+            first = key;
+        }
+    });
+    first.1
+}
+
 /// The order among edges of one cost.
 #[inline]
 pub(super) fn order(a: u32, b: u32) -> (u32, u32, u32) {
@@ -192,4 +225,37 @@ pub(super) fn hash(a: u32, b: u32) -> u32 {
     let mut h = (u64::from(a) << 32 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     h ^= h >> 29;
     (h.wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 32) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct List<'a>(&'a [(f32, u32)]);
+
+    impl Edges for List<'_> {
+        fn each(&self, mut take: impl FnMut(u32, u32)) {
+            self.0.iter().for_each(|(cost, u)| take(cost.to_bits(), *u));
+        }
+    }
+
+    #[test]
+    fn the_cheapest_edge_does_not_depend_on_the_order_and_ties_go_by_hash() {
+        let v = 7;
+        let first = [3, 9, 20, 41].into_iter().min_by_key(|&u| hash(v.min(u), v.max(u))).unwrap();
+        for turn in 0..8 {
+            let mut list = [(2.0, 5), (1.0, 3), (1.0, 9), (1.0, 3), (f32::INFINITY, 6), (1.0, 20), (1.0, 41), (1.5, 8)];
+            list.rotate_left(turn);
+            assert_eq!(cheapest(v, u32::MAX, &List(&list)), (1f32.to_bits(), first));
+            list.iter_mut().for_each(|edge| edge.0 += if edge.1 == 8 { -0.75 } else { 0.0 });
+            assert_eq!(cheapest(v, u32::MAX, &List(&list)), (0.75f32.to_bits(), 8));
+        }
+    }
+
+    #[test]
+    fn what_costs_too_much_is_not_chosen() {
+        assert_eq!(cheapest(1, 2f32.to_bits() + 1, &List(&[(2.0, 5), (3.0, 2)])).1, 5);
+        assert_eq!(cheapest(1, 2f32.to_bits(), &List(&[(2.0, 5), (2.0, 2)])).1, NONE);
+        assert_eq!(cheapest(1, u32::MAX, &List(&[])).1, NONE);
+    }
 }

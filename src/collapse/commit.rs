@@ -25,6 +25,7 @@ pub(super) fn commit<S: Coordinate>(
     surface.marks.par_iter().with_min_len(4096).for_each(|m| {
         m.fetch_and(KEPT, Relaxed);
     });
+    surface.forget_roots();
     let error_sq = merge(surface, batch, leaders);
     rename(surface, batch);
     compact(surface, batch.spare());

@@ -5,8 +5,8 @@
 //! vertices in five in one turn, with one look at each edge; a matching takes three turns to move nine in ten of half as
 //! many. Edges are ranked by what their ends have learnt, without current quadrics and without keeping any cost.
 
-use super::batch::{Batch, NONE, hash};
-use super::surface::Surface;
+use super::batch::{Batch, Edges, NONE, cheapest};
+use super::surface::{LANES, Surface};
 use super::{Options, Stride};
 use crate::mesh::Coordinate;
 use rayon::prelude::*;
@@ -30,32 +30,53 @@ fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, locks: bool
     let mut costs = vec![f32::INFINITY; surface.positions.len()];
     batch.next.par_iter_mut().zip(&mut costs).enumerate().with_min_len(1024).for_each(|(v, (best, cost))| {
         let v = v as u32;
-        let is_locked = |v: u32| locks && surface.locked(v);
-        if surface.pieces.is_small(v) || is_locked(v) {
+        let ranked = Ranked { surface, v, locks };
+        if surface.pieces.is_small(v) || ranked.is_locked(v) {
             return;
         }
-        let mut least = (u64::MAX, NONE);
-        // Where faces agree, each neighbour comes first in one of them. The body is there once, so that it stays a loop.
-        for way in 0..=usize::from(surface.odd(v)) {
-            for &corner in surface.stars.of(v) {
-                let (p, q) = surface.ends(corner);
-                let u = if way == 0 { p } else { q };
-                if is_locked(u) {
-                    continue;
-                }
-                let cost = surface.rank(v, u);
-                let key = u64::from(cost.to_bits()) << 32 | u64::from(hash(v.min(u), v.max(u)));
-                least = if key < least.0 { (key, u) } else { least };
-            }
+        let (least, end) = cheapest(v, u32::MAX, &ranked);
+        // Else all around are locked.
+        if end != NONE {
+            *best.get_mut() = end;
+            *cost = f32::from_bits(least);
         }
-        // All around are locked.
-        if least.1 == NONE {
-            return;
-        }
-        *best.get_mut() = least.1;
-        *cost = f32::from_bits((least.0 >> 32) as u32);
     });
     costs
+}
+
+/// The edges at `v` to what is not locked, where anything is.
+struct Ranked<'a, S> {
+    surface: &'a Surface<S>,
+    v: u32,
+    locks: bool,
+}
+
+impl<S: Coordinate> Ranked<'_, S> {
+    #[inline(always)]
+    fn is_locked(&self, v: u32) -> bool {
+        self.locks && self.surface.locked(v)
+    }
+}
+
+impl<S: Coordinate> Edges for Ranked<'_, S> {
+    #[inline(always)]
+    fn each(&self, mut take: impl FnMut(u32, u32)) {
+        let surface = self.surface;
+        // Where faces agree, each neighbour comes first in one of them. The body is there once, so that it stays a loop.
+        for way in 0..=usize::from(surface.odd(self.v)) {
+            for corners in surface.stars.of(self.v).chunks(LANES) {
+                let last = corners.len() - 1;
+                let to = std::array::from_fn(|i| {
+                    let (p, q) = surface.ends(corners[i.min(last)]);
+                    if way == 0 { p } else { q }
+                });
+                let costs = surface.ranks(self.v, to);
+                for (i, (cost, u)) in costs.into_iter().zip(to).enumerate() {
+                    take(if i > last || self.is_locked(u) { u32::MAX } else { cost.to_bits() }, u);
+                }
+            }
+        }
+    }
 }
 
 /// Who follows whom, among those whose cheapest edge is not above `limit`: from preference to preference, costs fall, until

@@ -61,15 +61,12 @@ pub use policy::{
 };
 
 use crate::Result;
-use crate::mesh::adjacency::Stars;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
 use batch::{Batch, order};
 use glam::DVec3;
-use pieces::Pieces;
 use rayon::prelude::*;
-use std::sync::atomic::AtomicU8;
 use surface::{LOCKED, REFUSED, SEAM, Surface, TOUCHED, settled};
 
 /// What steers the collapse.
@@ -361,22 +358,9 @@ fn prepare<S: Coordinate>(
     progress: &Progress,
 ) -> Result<(Surface<S>, Irregularities)> {
     let n = mesh.positions.len();
-    let mut stars = Stars::default();
-    stars.rebuild(&mesh.faces, n);
+    let mut surface = Surface::new(mesh, learnt, shades, wedges);
+    surface.stars.rebuild(&surface.faces, n);
     progress.check()?;
-    let mut surface = Surface {
-        costs: Vec::new(),
-        faces: mesh.faces,
-        positions: mesh.positions,
-        learnt: learnt.unwrap_or_default(),
-        current: Vec::new(),
-        shades,
-        wedges,
-        seams_give_way: false,
-        pieces: Pieces::default(),
-        marks: (0..n).map(|_| AtomicU8::new(0)).collect(),
-        stars,
-    };
     let irregularities = classify::classify(&surface);
     progress.check()?;
     surface.mark_held(options);

@@ -9,7 +9,7 @@
 //! batch's to see.
 
 use super::Options;
-use super::batch::{Batch, NONE, hash};
+use super::batch::{Batch, Edges, NONE, cheapest};
 use super::check::take_back_neighbours;
 use super::policy::{FoldCheck, Topology};
 use super::surface::Surface;
@@ -63,7 +63,7 @@ fn prefer<S: Coordinate>(
         if *best == NONE || !free(v) || *best != ASK && free(*best) {
             return;
         }
-        *best = cheapest(surface, v, limit, free);
+        *best = cheapest(v, limit.to_bits() + 1, &Kept { surface, v, free }).1;
     });
 }
 
@@ -110,23 +110,24 @@ fn take<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, options: &Opt
         )
 }
 
-/// The free end of the cheapest edge at `v` of at most `limit`, or [`NONE`]. Ties go by hash: they are the rule on flat
-/// regions, where all costs are zero, and an order by number would let one edge in a row collapse at a time. Without
-/// branches on costs, which no processor can predict.
-#[inline(always)]
-fn cheapest<S: Coordinate>(surface: &Surface<S>, v: u32, limit: f32, free: impl Fn(u32) -> bool) -> u32 {
-    let mut least = ((u64::from(limit.to_bits()) + 1) << 32, NONE);
-    for &corner in surface.stars.of(v) {
-        let (f, i) = parts(corner);
-        let (face, costs) = (surface.faces[f], surface.costs[f]);
-        for (cost, u) in [(costs[i], face[after(i)]), (costs[before(i)], face[before(i)])] {
-            // Costs are never negative: their bits order as they do. Both ends see the same key.
-            let key = u64::from(cost.to_bits()) << 32 | u64::from(hash(v.min(u), v.max(u)));
-            let key = if free(u) { key } else { u64::MAX };
-            least = if key < least.0 { (key, u) } else { least };
+/// The edges at `v` to what is free.
+struct Kept<'a, S, F> {
+    surface: &'a Surface<S>,
+    v: u32,
+    free: F,
+}
+
+impl<S: Coordinate, F: Fn(u32) -> bool> Edges for Kept<'_, S, F> {
+    #[inline(always)]
+    fn each(&self, mut take: impl FnMut(u32, u32)) {
+        for &corner in self.surface.stars.of(self.v) {
+            let (f, i) = parts(corner);
+            let (face, costs) = (self.surface.faces[f], self.surface.costs[f]);
+            for (cost, u) in [(costs[i], face[after(i)]), (costs[before(i)], face[before(i)])] {
+                take(if (self.free)(u) { cost.to_bits() } else { u32::MAX }, u);
+            }
         }
     }
-    least.1
 }
 
 /// Whether a collapse keeps the error bound and folds nothing over.

@@ -9,12 +9,19 @@ use crate::quadric::{PackedQuadric, Quadric};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
+use wide::f32x4;
 
 /// A cost that says that the edge's collapse was tried on this geometry and refused. Any finite cost is below it.
 pub(super) const REFUSED: f32 = f32::MAX;
 
+/// Edges that are ranked together.
+pub(super) const LANES: usize = 4;
+
+/// Where no more than one face in so many is left, those that have gone have made room for the roots of all.
+const ROOTS_FROM: usize = 2;
+
 /// Arrays of one mesh: 24 bytes a face (faces, costs), 12 more for the stars; 70 a vertex, 24 more once the current
-/// quadrics are kept (82 and 48 in doubles).
+/// quadrics are kept (82 and 48 in doubles). Roots are 12 a face (24), once half of the faces have gone.
 pub(super) struct Surface<S> {
     pub faces: Vec<[u32; 3]>,
     /// Cost of the edge that leaves each corner; infinite where another corner answers for the edge. Empty far from the
@@ -27,6 +34,11 @@ pub(super) struct Surface<S> {
     /// from the target. In the file's scalar: a vertex's place along a flat is the quotient of what is nearly nothing, and the
     /// last bit of a single is felt there.
     pub current: Vec<[S; 6]>,
+    /// A vector a face whose product with itself is the face's plane: while edges are evaluated, where arrays that have
+    /// shrunk have made room for it; else empty.
+    roots: Vec<[S; 3]>,
+    /// Faces that came in.
+    faces_at_first: usize,
     /// Attributes as lengths, where they steer; else empty.
     pub shades: Shades,
     /// What corners are on either side of seams, where there are seams; else empty.
@@ -76,6 +88,26 @@ pub(super) struct Candidate {
 const LEAST_COSINE: f64 = 0.2;
 
 impl<S: Coordinate> Surface<S> {
+    /// Of a mesh, without stars, marks and pieces yet.
+    pub fn new(mesh: IndexedMesh<S>, learnt: Option<Vec<PackedQuadric>>, shades: Shades, wedges: Wedges) -> Self {
+        let marks = (0..mesh.positions.len()).map(|_| AtomicU8::new(0)).collect();
+        Surface {
+            faces_at_first: mesh.faces.len(),
+            faces: mesh.faces,
+            costs: Vec::new(),
+            positions: mesh.positions,
+            learnt: learnt.unwrap_or_default(),
+            current: Vec::new(),
+            roots: Vec::new(),
+            shades,
+            wedges,
+            seams_give_way: false,
+            marks,
+            pieces: Pieces::default(),
+            stars: Stars::default(),
+        }
+    }
+
     #[inline(always)]
     pub fn at(&self, v: u32) -> DVec3 {
         widen(self.positions[v as usize])
@@ -115,7 +147,11 @@ impl<S: Coordinate> Surface<S> {
 
     /// Faces at both `a` and `b`.
     pub fn shared(&self, around: &impl Around, a: u32, b: u32) -> impl Iterator<Item = u32> {
-        around.of(a).iter().map(|&c| c >> 2).filter(move |&f| self.faces[f as usize].contains(&b))
+        let has_b = move |&&corner: &&u32| {
+            let (p, q) = self.ends(corner);
+            (p == b) | (q == b)
+        };
+        around.of(a).iter().filter(has_b).map(|&corner| corner >> 2)
     }
 
     /// The cheapest place for the vertex that `a` and `b` would become.
@@ -182,7 +218,7 @@ impl<S: Coordinate> Surface<S> {
         let mut faces = 0;
         for f in self.shared(around, a, b) {
             faces += 1;
-            let mut plane = plane_through(self.normal(f));
+            let mut plane = self.plane(f);
             if options.policies.weighting != Weighting::Area {
                 // It was counted at both ends: once is by the mean of what it counts there.
                 plane = scaled(&plane, 0.5 * (self.share(f, a, options) + self.share(f, b, options)));
@@ -208,8 +244,13 @@ impl<S: Coordinate> Surface<S> {
         let star = around.of(v);
         let mut q = Quadric::default();
         for &corner in star {
-            let (p, s) = self.ends(corner);
-            let plane = plane_through((self.at(p) - at).cross(self.at(s) - at));
+            let plane = match self.roots.is_empty() {
+                true => {
+                    let (p, s) = self.ends(corner);
+                    plane_through((self.at(p) - at).cross(self.at(s) - at))
+                }
+                false => self.plane(corner >> 2),
+            };
             q += match options.policies.weighting {
                 Weighting::Area => plane,
                 _ => scaled(&plane, self.share(corner >> 2, v, options)),
@@ -254,24 +295,13 @@ impl<S: Coordinate> Surface<S> {
             self.learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(form).collect();
             return;
         }
-        let mut roots = vec![[0.0f32; 3]; self.faces.len()];
+        let mut roots = Vec::new();
+        self.find_roots::<f32>(&mut roots);
         let this = &*self;
-        this.faces.par_iter().zip(&mut roots).with_min_len(1024).for_each(|(face, root)| {
-            let [a, b, c] = face.map(|v| this.at(v));
-            let normal = (b - a).cross(c - a);
-            let length = normal.length();
-            let scaled = if length > 0.0 { normal * (0.5 / length).sqrt() } else { DVec3::ZERO };
-            *root = scaled.as_vec3().to_array();
-        });
         let learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(|v| {
             let mut q = if this.odd(v) { this.borders_at(&this.stars, v, options) } else { Quadric::default() };
             for &corner in this.stars.of(v) {
-                let m = roots[parts(corner).0].map(f64::from);
-                q += Quadric {
-                    a: [m[0] * m[0], m[0] * m[1], m[0] * m[2], m[1] * m[1], m[1] * m[2], m[2] * m[2]],
-                    w: m[0] * m[0] + m[1] * m[1] + m[2] * m[2],
-                    ..Default::default()
-                };
+                q += squared(roots[parts(corner).0].map(f64::from));
             }
             q.pack()
         });
@@ -281,8 +311,7 @@ impl<S: Coordinate> Surface<S> {
     /// What an edge's collapse costs, [`REFUSED`] at most.
     #[inline(always)]
     pub fn cost(&self, around: &impl Around, a: u32, b: u32, options: &Options) -> f32 {
-        let cost = self.pieces.price(a, settled::<S>(self.candidate(around, a, b, options).cost as f32));
-        if cost < REFUSED { cost } else { REFUSED }
+        at_most_refused(self.pieces.price(a, settled::<S>(self.candidate(around, a, b, options).cost as f32)))
     }
 
     /// Finds the pieces that the mesh falls into.
@@ -360,17 +389,16 @@ impl<S: Coordinate> Surface<S> {
         }
     }
 
-    /// What an edge costs for what its ends have learnt: the best of the middle and the ends stands for the optimum. That is
-    /// less work, and E_avg was no higher on any of nine models tried. The same from either end.
+    /// What edges from `v` cost for what their ends have learnt: the best of the middle and the ends stands for the optimum.
+    /// That is less work, and E_avg was no higher on any of nine models tried. The same from either end.
     #[inline(always)]
-    pub fn rank(&self, a: u32, b: u32) -> f32 {
-        let half = 0.5 * step(self.positions[a as usize], self.positions[b as usize]);
-        let mut cost = least_of_three::<S>(&self.learnt[a as usize], &self.learnt[b as usize], half);
+    pub fn ranks(&self, v: u32, to: [u32; LANES]) -> [f32; LANES] {
+        let steps = to.map(|u| step(self.positions[v as usize], self.positions[u as usize]));
+        let mut costs = least_of_three::<S>(&self.learnt[v as usize], to.map(|u| &self.learnt[u as usize]), steps);
         if self.is_shaded() {
-            cost += self.shade_rank(a, b);
+            costs += f32x4::from(to.map(|u| self.shade_rank(v, u)));
         }
-        let cost = settled::<S>(cost);
-        if cost < REFUSED { cost } else { REFUSED }
+        costs.to_array().map(|cost| at_most_refused(settled::<S>(cost)))
     }
 
     /// The sum of what vertices have learnt, about `x`.
@@ -383,8 +411,37 @@ impl<S: Coordinate> Surface<S> {
         q
     }
 
+    /// The square root of each face's quadric: a vector whose product with itself is its plane, weighted by area.
+    fn find_roots<T: Coordinate>(&self, roots: &mut Vec<[T; 3]>) {
+        let root = |f: usize| {
+            let normal = self.normal(f as u32);
+            let length = normal.length();
+            narrow(if length > 0.0 { normal * (0.5 / length).sqrt() } else { DVec3::ZERO })
+        };
+        (0..self.faces.len()).into_par_iter().with_min_len(1024).map(root).collect_into_vec(roots);
+    }
+
+    /// The area-weighted plane of a face, as its root says if that is known.
+    #[inline(always)]
+    fn plane(&self, f: u32) -> Quadric {
+        match self.roots.get(f as usize) {
+            Some(root) => squared(root.map(S::widen)),
+            None => plane_through(self.normal(f)),
+        }
+    }
+
+    /// Forgets what holds only as long as no face changes.
+    pub fn forget_roots(&mut self) {
+        self.roots.clear();
+    }
+
     /// Brings the quadrics of the current faces up to date, after the last round or for the first time.
     pub fn renew_current(&mut self, options: &Options) {
+        if ROOTS_FROM * self.faces.len() <= self.faces_at_first && options.policies.weighting == Weighting::Area {
+            let mut roots = std::mem::take(&mut self.roots);
+            self.find_roots(&mut roots);
+            self.roots = roots;
+        }
         let mut current = std::mem::take(&mut self.current);
         let all = current.is_empty();
         current.resize(self.positions.len(), [S::narrow(0.0); 6]);
@@ -430,6 +487,12 @@ fn above_rounding(cost: f64, most: f64) -> f64 {
     (cost + most) - most
 }
 
+/// A cost, or [`REFUSED`] for one that is no number below it.
+#[inline(always)]
+fn at_most_refused(cost: f32) -> f32 {
+    if cost < REFUSED { cost } else { REFUSED }
+}
+
 /// A cost to as many bits as count.
 #[inline(always)]
 pub(super) fn settled<S: Coordinate>(cost: f32) -> f32 {
@@ -464,6 +527,16 @@ pub(super) fn plane_through(normal: DVec3) -> Quadric {
     }
 }
 
+/// The plane of a root.
+#[inline(always)]
+fn squared(m: [f64; 3]) -> Quadric {
+    Quadric {
+        a: [m[0] * m[0], m[0] * m[1], m[0] * m[2], m[1] * m[1], m[1] * m[2], m[2] * m[2]],
+        w: m[0] * m[0] + m[1] * m[1] + m[2] * m[2],
+        ..Default::default()
+    }
+}
+
 /// The same planes, with another weight.
 fn scaled(q: &Quadric, factor: f64) -> Quadric {
     Quadric { a: q.a.map(|x| x * factor), w: q.w * factor, ..Default::default() }
@@ -477,26 +550,101 @@ fn subtract(q: &mut Quadric, o: &Quadric) {
     q.w -= o.w;
 }
 
-/// The least value of a sum of quadrics at the middle between their origins and at both of them, `half` away. In single
-/// precision, like the quadrics: it only ranks.
+/// The least values of sums of quadrics, of `p` with each of some others `steps` away, at the middles between their origins
+/// and at both of them. In single precision, like the quadrics: it only ranks.
 #[inline(always)]
-fn least_of_three<S: Coordinate>(p: &PackedQuadric, q: &PackedQuadric, half: Vec3) -> f32 {
-    let (x, y, z) = (half.x, half.y, half.z);
-    let squares = [x * x, 2.0 * x * y, 2.0 * x * z, y * y, 2.0 * y * z, z * z];
-    // Written out: as a map over the array it is a call an element where the compiler cuts units unluckily (12 % of all).
-    let s = &squares;
-    let form = |a: &[f32; 6]| ((a[0] * s[0] + a[1] * s[1]) + (a[2] * s[2] + a[3] * s[3])) + (a[4] * s[4] + a[5] * s[5]);
+fn least_of_three<S: Coordinate>(p: &PackedQuadric, others: [&PackedQuadric; LANES], steps: [Vec3; LANES]) -> f32x4 {
+    let numbers = |i: usize| {
+        f32x4::transpose(others.map(|q| {
+            let q: &[f32; 11] = bytemuck::cast_ref(q);
+            f32x4::new([q[i], q[i + 1], q[i + 2], q[i + 3]])
+        }))
+    };
+    let ([xx, xy, xz, yy], [yz, zz, bx, by], [_, bz, c, w]) = (numbers(0), numbers(4), numbers(7));
+    let [x, y, z] = [0, 1, 2].map(|axis| f32x4::new(steps.map(|step| step[axis])) * f32x4::splat(0.5));
+    let two = f32x4::splat(2.0);
+    let s = [x * x, two * x * y, two * x * z, y * y, two * y * z, z * z];
+    let form =
+        |a: [f32x4; 6]| ((a[0] * s[0] + a[1] * s[1]) + (a[2] * s[2] + a[3] * s[3])) + (a[4] * s[4] + a[5] * s[5]);
+    let along = |b: [f32x4; 3]| two * (b[0] * x + b[1] * y + b[2] * z);
     // p at its own origin is c, in the middle c + 2b·h + hᵀAh, at q's origin c + 4b·h + 4hᵀAh; q likewise towards −h.
-    let (pb, qb) = (2.0 * Vec3::from(p.b).dot(half), -2.0 * Vec3::from(q.b).dot(half));
-    let (pa, qa) = (form(&p.a), form(&q.a));
+    let (pb, qb) = (along(p.b.map(f32x4::splat)), -along([bx, by, bz]));
+    let (pa, qa) = (form(p.a.map(f32x4::splat)), form([xx, xy, xz, yy, yz, zz]));
     let middle = (pb + qb) + (pa + qa);
-    let at_p = 2.0 * qb + 4.0 * qa;
-    let at_q = 2.0 * pb + 4.0 * pa;
-    let least = |a: f32, b: f32| if a < b { a } else { b };
-    let mut cost = p.c + q.c + least(middle, least(at_p, at_q));
+    let at_p = two * qb + f32x4::splat(4.0) * qa;
+    let at_q = two * pb + f32x4::splat(4.0) * pa;
+    let mut cost = f32x4::splat(p.c) + c + middle.fast_min(at_p.fast_min(at_q));
     if S::DOUBLE {
-        let most = (STEP * (1u64 << 23) as f64) as f32 * (p.w + q.w) * (s[0] + s[3] + s[5]);
+        let most = f32x4::splat((STEP * (1u64 << 23) as f64) as f32) * (f32x4::splat(p.w) + w) * (s[0] + s[3] + s[5]);
         cost = (cost + most) - most;
     }
-    if cost > 0.0 { cost } else { 0.0 }
+    cost.fast_max(f32x4::ZERO)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE: u32 = 5;
+    /// In the middle of [`bumps`], and its neighbours.
+    const MIDDLE: u32 = 12;
+    const NEIGHBOURS: [u32; 6] = [6, 7, 11, 13, 17, 18];
+
+    /// A grid of five by five vertices that are not in a plane.
+    fn bumps<S: Coordinate>() -> Surface<S> {
+        let at =
+            |v: u32| DVec3::new(f64::from(v % SIDE), f64::from(v / SIDE), f64::from(v * v * 7 % 11) / 22.0) * 0.125;
+        let positions = (0..SIDE * SIDE).map(|v| narrow(at(v))).collect();
+        let square = |v: u32| [[v, v + 1, v + SIDE + 1], [v, v + SIDE + 1, v + SIDE]];
+        let corners = (0..SIDE * (SIDE - 1)).filter(|v| v % SIDE + 1 < SIDE);
+        let mesh = IndexedMesh { positions, faces: corners.flat_map(square).collect() };
+        let mut surface = Surface::new(mesh, None, Shades::default(), Wedges::default());
+        surface.stars.rebuild(&surface.faces, surface.positions.len());
+        surface.learn(&Options::to(1));
+        surface
+    }
+
+    fn ranks_are_least_of_three<S: Coordinate>() {
+        let surface = bumps::<S>();
+        for to in [[6, 7, 11, 13], [17, 18, 18, 18]] {
+            let ranks = surface.ranks(MIDDLE, to);
+            for (rank, u) in ranks.into_iter().zip(to) {
+                let (p, q) = (surface.at(MIDDLE), surface.at(u));
+                let value = |x: DVec3| surface.merged(&[MIDDLE, u], x).c;
+                let least = value(p).min(value(q)).min(value(0.5 * (p + q)));
+                assert!(least > 1e-6 && (f64::from(rank) - least).abs() < 1e-4 * least, "{rank} {least}");
+                assert_eq!(surface.ranks(u, [MIDDLE; LANES])[3], rank, "either end says the same");
+            }
+        }
+    }
+
+    #[test]
+    fn edges_are_ranked_by_the_best_of_the_middle_and_the_ends() {
+        ranks_are_least_of_three::<f32>();
+        ranks_are_least_of_three::<f64>();
+    }
+
+    fn roots_are_planes<S: Coordinate>() {
+        let options = Options::to(1);
+        let mut surface = bumps::<S>();
+        let costs = |surface: &mut Surface<S>| {
+            surface.current.clear();
+            surface.renew_current(&options);
+            NEIGHBOURS.map(|u| surface.candidate(&surface.stars, MIDDLE, u, &options).cost)
+        };
+        let plain = costs(&mut surface);
+        assert!(surface.roots.is_empty(), "no face has gone");
+        surface.faces_at_first = ROOTS_FROM * surface.faces.len();
+        let by_roots = costs(&mut surface);
+        assert_eq!(surface.roots.len(), surface.faces.len());
+        for (plain, by_root) in plain.into_iter().zip(by_roots) {
+            assert!(plain > 1e-6 && (plain - by_root).abs() < 1e-4 * plain, "{plain} {by_root}");
+        }
+    }
+
+    #[test]
+    fn planes_are_the_same_by_roots() {
+        roots_are_planes::<f32>();
+        roots_are_planes::<f64>();
+    }
 }

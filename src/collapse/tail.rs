@@ -62,6 +62,7 @@ pub(super) fn finish<S: Coordinate>(
 ) -> Result<End> {
     let joins = options.policies.pair_distance.map_or(Joins::default(), |distance| Joins::find(surface, distance));
     let overlay = Overlay { stars: std::mem::take(&mut surface.stars), changed: FxHashMap::default() };
+    surface.forget_roots();
     let left = surface.faces.len();
     let becomes = (0..surface.positions.len() as u32).collect();
     let mut tail = Tail { becomes, left, surface, overlay, joins, heap: BinaryHeap::new(), error_sq: 0.0, options };
