@@ -122,7 +122,7 @@ impl<S: Coordinate, F: Fn(u32) -> bool> Edges for Kept<'_, S, F> {
     fn each(&self, mut take: impl FnMut(u32, u32)) {
         for &corner in self.surface.stars.of(self.v) {
             let (f, i) = parts(corner);
-            let (face, costs) = (self.surface.faces[f], self.surface.costs[f]);
+            let (face, costs) = (&self.surface.faces[f], &self.surface.costs[f]);
             for (cost, u) in [(costs[i], face[after(i)]), (costs[before(i)], face[before(i)])] {
                 take(if (self.free)(u) { cost.to_bits() } else { u32::MAX }, u);
             }

@@ -117,7 +117,7 @@ impl<S: Coordinate> Surface<S> {
     #[inline(always)]
     pub fn ends(&self, corner: u32) -> (u32, u32) {
         let (f, side) = parts(corner);
-        let face = self.faces[f];
+        let face = &self.faces[f];
         (face[after(side)], face[before(side)])
     }
 
