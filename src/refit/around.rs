@@ -5,7 +5,7 @@
 
 use super::NONE;
 use super::ground::{Ground, ROUNDING};
-use super::lanes::{LANES, Triangles, Vec3x8};
+use super::lanes::{LANES, Triangles, Vec3x8, least};
 use crate::mesh::adjacency::{after, before, parts};
 use crate::mesh::{Coordinate, step};
 use glam::Vec3;
@@ -27,7 +27,7 @@ struct Star {
     /// [`NONE`] where there is no further one.
     faces: [u32; MOST],
     /// The longest side's extent along an axis.
-    long: [f32; MOST],
+    long: [[f32; LANES]; MOST / LANES],
     triangles: [Triangles; MOST / LANES],
     normals: [Vec3x8; MOST / LANES],
 }
@@ -37,7 +37,7 @@ impl Around {
         let star = Star {
             vertex: NONE,
             faces: [NONE; MOST],
-            long: [0.0; MOST],
+            long: [[0.0; LANES]; MOST / LANES],
             triangles: Default::default(),
             normals: Default::default(),
         };
@@ -74,7 +74,7 @@ impl Star {
             let to = |side: usize| step(at, ground.mesh.positions[face[side] as usize]);
             let (b, c) = (to(after(side)), to(before(side)));
             self.faces[i] = f as u32;
-            self.long[i] = b.abs().max(c.abs()).max_element();
+            self.long[i / LANES][i % LANES] = b.abs().max(c.abs()).max_element();
             for (lanes, x) in [(&mut ab, b), (&mut ac, c), (&mut normals, b.cross(c))] {
                 (0..3).for_each(|axis| lanes[i / LANES][axis][i % LANES] = x[axis]);
             }
@@ -90,25 +90,30 @@ impl Star {
     #[inline(always)]
     fn nearest(&self, point: Vec3, normal: Vec3) -> Option<(u32, bool)> {
         let (p, n) = (Vec3x8::splat(point), Vec3x8::splat(normal));
-        let mut best: Option<(u32, bool)> = None;
-        // What the next one has to be below.
-        let mut bar_sq = f32::INFINITY;
+        let mut distances = [f32x8::splat(f32::INFINITY); MOST / LANES];
+        let mut beyond = [0; MOST / LANES];
         for half in 0..MOST / LANES {
             if self.faces[half * LANES] == NONE {
                 break;
             }
             let found = self.triangles[half].nearest(p);
-            let distances_sq = found.step.dot(found.step).to_array();
-            let alike = self.normals[half].dot(n).to_array();
-            let beyond = found.weights[0].simd_eq(f32x8::ZERO).to_bitmask();
-            for (i, (&distance_sq, &alike)) in distances_sq.iter().zip(&alike).enumerate() {
-                if distance_sq < bar_sq && alike > 0.0 {
-                    let distance = distance_sq.sqrt() - ROUNDING * self.long[half * LANES + i];
-                    bar_sq = if distance > 0.0 { distance * distance } else { 0.0 };
-                    best = Some((self.faces[half * LANES + i], beyond >> i & 1 == 1));
-                }
+            let is_alike = self.normals[half].dot(n).simd_gt(f32x8::ZERO);
+            distances[half] = is_alike.select(found.step.dot(found.step).sqrt(), distances[half]);
+            beyond[half] = found.weights[0].simd_eq(f32x8::ZERO).to_bitmask();
+        }
+        // Which of eight is nearer no processor can predict: they are held against the nearest at once.
+        let nearest = distances.into_iter().map(least).fold(f32::INFINITY, |a, b| if b < a { b } else { a });
+        if nearest == f32::INFINITY {
+            return None;
+        }
+        for (half, (distances, beyond)) in distances.into_iter().zip(beyond).enumerate() {
+            let slack = f32x8::splat(ROUNDING) * f32x8::from(self.long[half]);
+            let within = (distances - slack).simd_le(f32x8::splat(nearest)).to_bitmask();
+            if within != 0 {
+                let i = within.trailing_zeros() as usize;
+                return Some((self.faces[half * LANES + i], beyond >> i & 1 == 1));
             }
         }
-        best
+        None
     }
 }

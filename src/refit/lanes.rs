@@ -48,6 +48,14 @@ pub(super) fn sum(x: f32x8) -> f32 {
     ((a + e) + (b + f)) + ((c + g) + (d + h))
 }
 
+/// The least of eight numbers.
+#[inline(always)]
+pub(super) fn least(x: f32x8) -> f32 {
+    let [a, b, c, d, e, f, g, h] = x.to_array();
+    let least = |a: f32, b: f32| if a < b { a } else { b };
+    least(least(least(a, e), least(b, f)), least(least(c, g), least(d, h)))
+}
+
 /// Eight triangles, each about its first corner: the edges from there, and their products.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Triangles {
