@@ -10,6 +10,7 @@
 
 use super::solve::{LITTLE_SMOOTHING, Sums};
 use super::{Places, Range, SAMPLES, weights};
+use crate::cores::InPieces;
 use crate::error::Result;
 use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::coat::{Coat, Corners, Dress, NOTHING, Patch};
@@ -320,7 +321,7 @@ impl<S: Coordinate> Worn<S> {
             let picked = pick.takes(wedge as u64) || wedges.becomes[wedge] as usize == wedge;
             (picked && home != NOTHING && of(wedge).iter().all(|x| x.is_finite())).then_some(home)
         };
-        (0..self.positions.len()).into_par_iter().with_min_len(1024).for_each(|wedge| {
+        (0..self.positions.len()).into_par_iter().in_pieces(1024).for_each(|wedge| {
             let Some(home) = asks(wedge) else { return };
             let p = widen(self.positions[wedge]);
             let Some((face, point)) = nearest(split, &stars, home, p) else { return };

@@ -13,52 +13,43 @@ use super::corners::Sink;
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates, is_far};
 use super::sums::Totals;
 use super::table::CellTable;
+use crate::mesh::groups::{self, Groups};
 use crate::quadric::Quadric;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
-/// Cells on an edge with an odd number of faces, as flags by the triples' own numbering.
+/// Cells that are looked at together.
+const PART: usize = 1 << 12;
+
+/// Cells on an edge with an odd number of faces, as flags by the triples' own numbering. Triples are sorted, and the least
+/// cell of each leads it.
 pub(super) fn open_cells(triples: &[[u32; 3]], cells: usize) -> Vec<bool> {
-    // Lesser ends are taken a share at a time, so that there are never many more ends than cells for a thread.
-    let share = cells.div_ceil(triples.len().div_ceil(cells.max(1)).max(1)).max(1);
-    let shares = (0..cells).into_par_iter().step_by(share).with_max_len(1);
-    let found: Vec<Vec<u32>> = shares.map(|first| open_in(triples, first..(first + share).min(cells))).collect();
+    // Edges by their lesser end: of a cell these are two of each triple that it leads, and among those of others' what the
+    // two that do not lead have between them.
+    let mut between = Groups::default();
+    between.rebuild(cells, groups::ranges(), || triples.iter().map(|&[_, b, c]| (b.min(c), b.max(c))));
+    let open_from = |first: usize| {
+        let (mut found, mut ends) = (Vec::new(), Vec::new());
+        let mut led = &triples[triples.partition_point(|triple| (triple[0] as usize) < first)..];
+        for cell in first as u32..(first + PART).min(cells) as u32 {
+            let (own, later) = led.split_at(led.iter().take_while(|triple| triple[0] == cell).count());
+            led = later;
+            ends.clear();
+            ends.extend(own.iter().flat_map(|triple| [triple[1], triple[2]]));
+            ends.extend_from_slice(between.of(cell as usize));
+            ends.sort_unstable();
+            for same in ends.chunk_by(|u, v| u == v).filter(|same| same.len() % 2 == 1) {
+                found.extend([cell, same[0]]);
+            }
+        }
+        found
+    };
+    let parts = (0..cells).into_par_iter().step_by(PART).with_max_len(1);
+    let found: Vec<Vec<u32>> = parts.map(open_from).collect();
     let mut open = vec![false; cells];
     found.into_iter().flatten().for_each(|cell| open[cell as usize] = true);
-    open
-}
-
-/// The ends of such edges of which the lesser is in `here`.
-fn open_in(triples: &[[u32; 3]], here: Range<usize>) -> Vec<u32> {
-    let first = here.start as u32;
-    let edges = || {
-        let all = triples.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v)));
-        all.map(|(u, v)| (u.wrapping_sub(first) as usize, v)).filter(|(u, _)| *u < here.len())
-    };
-    // Edges by their lesser end: a counting sort of the greater ends.
-    let mut starts = vec![0u32; here.len() + 1];
-    edges().for_each(|(u, _)| starts[u + 1] += 1);
-    for i in 0..here.len() {
-        starts[i + 1] += starts[i];
-    }
-    let mut ends = vec![0u32; starts[here.len()] as usize];
-    for (u, v) in edges() {
-        ends[starts[u] as usize] = v;
-        starts[u] += 1;
-    }
-    // Each start is now the next one's.
-    let mut open = Vec::new();
-    let mut begin = 0;
-    for (u, end) in starts[..here.len()].iter().enumerate() {
-        let ends = &mut ends[begin..*end as usize];
-        begin = *end as usize;
-        ends.sort_unstable();
-        for same in ends.chunk_by(|v, w| v == w).filter(|same| same.len() % 2 == 1) {
-            open.extend([first + u as u32, same[0]]);
-        }
-    }
     open
 }
 

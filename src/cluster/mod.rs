@@ -170,7 +170,7 @@ pub use grid::MAX_CELLS;
 /// Bytes of arrays for `cells` cells while the scan streams past, beside those of `raw_faces` and the spill.
 pub const fn summing_bytes(cells: usize, layout: Layout) -> u64 {
     let room = room(cells);
-    let ordering = CellTable::block_capacity(room) * 16;
+    let ordering = CellTable::block_capacity(room) * 20;
     let binned = CellTable::bytes(room) + ordering + room * 4;
     let lines = room * (sums::LINE_BYTES + sums::SIDE_BYTES);
     let summed = match layout {
@@ -400,10 +400,9 @@ impl Run<'_> {
             corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &Used::nothing(), worker)?;
             borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
-        drop(spill);
+        let ((), cells) = rayon::join(|| drop(spill), || compact(&mut triples, ranks));
         self.stats.scratch_bytes = self.scratch.bytes();
         table.keep_keys();
-        let cells = compact(&mut triples, ranks);
         let evidence = Evidence {
             representative: self.options.representative,
             grid: &grid,
@@ -411,12 +410,14 @@ impl Run<'_> {
             totals: &totals,
             quantum,
         };
-        let (positions, quadrics) = evidence.represent(&cells, self.crew);
-        let mut homes = Vec::new();
-        if samples.is_some() {
-            homes.resize(table.len(), u32::MAX);
-            cells.iter().enumerate().for_each(|(vertex, cell)| homes[*cell as usize] = vertex as u32);
-        }
+        let (positions, quadrics) = evidence.represent(&cells);
+        let numbers = if samples.is_some() { table.len() } else { 0 };
+        let homes = || {
+            let mut homes = vec![u32::MAX; numbers];
+            cells.iter().zip(0..).take(numbers).for_each(|(cell, vertex)| homes[*cell as usize] = vertex);
+            homes
+        };
+        let ((), homes) = rayon::join(|| drop((totals, table)), homes);
         let mesh = IndexedMesh { positions, faces: triples };
         Ok(Clustered { mesh, frame, quadrics, samples, homes, stats: self.stats })
     }

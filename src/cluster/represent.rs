@@ -4,11 +4,11 @@ use super::Representative;
 use super::grid::Grid;
 use super::sums::{LANES, Totals};
 use super::table::CellTable;
-use crate::cores;
+use crate::cores::InPieces;
 use crate::mesh::{Coordinate, narrow, widen};
 use crate::quadric::{PackedQuadric, Quadric};
-use crate::read::Crew;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// How hard the mean pulls. At 1e-2 sharp edges round (a turbine blade's squared deviation grows by a fifth), at 1e-4
 /// noise decides along directions about which the planes say little, and twice as many faces turn back.
@@ -25,22 +25,11 @@ pub(super) struct Evidence<'a> {
 }
 
 impl Evidence<'_> {
-    /// Positions and quadrics of `cells`, in their order, a share a worker.
-    pub(super) fn represent<S: Coordinate>(&self, cells: &[u32], crew: &Crew) -> (Vec<[S; 3]>, Vec<PackedQuadric>) {
-        let mut positions = vec![[S::narrow(0.0); 3]; cells.len()];
-        let mut quadrics = vec![PackedQuadric::default(); cells.len()];
-        let share = cells.len().div_ceil(crew.workers.max(1)).max(1);
-        std::thread::scope(|scope| {
-            let parts = positions.chunks_mut(share).zip(quadrics.chunks_mut(share)).zip(cells.chunks(share));
-            for (worker, ((positions, quadrics), cells)) in parts.enumerate() {
-                scope.spawn(move || {
-                    cores::keep(worker, crew.workers);
-                    for ((position, quadric), cell) in positions.iter_mut().zip(quadrics).zip(cells) {
-                        (*position, *quadric) = self.of(*cell);
-                    }
-                });
-            }
-        });
+    /// Positions and quadrics of `cells`, in their order.
+    pub(super) fn represent<S: Coordinate>(&self, cells: &[u32]) -> (Vec<[S; 3]>, Vec<PackedQuadric>) {
+        let (mut positions, mut quadrics) = (Vec::new(), Vec::new());
+        let placed = cells.par_iter().in_pieces(256).map(|cell| self.of(*cell));
+        placed.unzip_into_vecs(&mut positions, &mut quadrics);
         (positions, quadrics)
     }
 

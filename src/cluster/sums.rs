@@ -11,7 +11,9 @@
 //! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row.
 
 use super::grid::STEPS;
+use crate::cores::InPieces;
 use glam::{Vec3, Vec4, Vec4Swizzles};
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -213,8 +215,7 @@ fn unpad<T: Copy>(lanes: &[T; PADDED]) -> [T; LANES] {
 impl Sums {
     /// Sums of zero for `cells` cells.
     pub(super) fn new(cells: usize) -> Self {
-        let mut lines = Vec::new();
-        lines.resize_with(cells, Line::default);
+        let lines = (0..cells).into_par_iter().in_pieces(4096).map(|_| Line::default()).collect();
         Sums { lines, side: Mutex::default(), overflowed: AtomicBool::new(false) }
     }
 

@@ -5,6 +5,7 @@
 //! alone is never taken, so no edge gains or loses an odd number of faces: where the scan is closed, what is left is
 //! closed.
 
+use crate::cores::InPieces;
 use crate::error::Result;
 use crate::read::Crew;
 use rayon::prelude::*;
@@ -115,21 +116,51 @@ fn key([a, b, c]: [u32; 3]) -> u128 {
     u128::from(a) << 64 | u128::from(b) << 32 | u128::from(c)
 }
 
+/// Whether two triples have the same cells.
+#[inline]
+fn coincide(one: [u32; 3], other: [u32; 3]) -> bool {
+    key(one) >> 1 == key(other) >> 1
+}
+
 /// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
 /// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
 pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
-    triples
-        .par_iter_mut()
-        .with_min_len(4096)
-        .for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
+    triples.par_iter_mut().in_pieces(4096).for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
     crew.progress.check()?;
     triples.par_sort_unstable_by_key(|triple| key(*triple));
     crew.progress.check()?;
+    // A part a worker, none of which ends between triples that coincide.
+    let share = triples.len().div_ceil(crew.workers.max(1)).max(1);
+    let mut parts = Vec::with_capacity(crew.workers);
+    let mut rest = triples.as_mut_slice();
+    while let Some(last) = rest.get(share.min(rest.len()).wrapping_sub(1)).copied() {
+        let end = rest.partition_point(|triple| key(*triple) >> 1 <= key(last) >> 1);
+        let (part, later) = rest.split_at_mut(end);
+        parts.push(part);
+        rest = later;
+    }
+    let netted: Vec<(usize, usize, u64)> = (parts.into_par_iter().with_max_len(1))
+        .map(|part| {
+            let (kept, pairs) = net_sorted(part);
+            (part.len(), kept, pairs)
+        })
+        .collect();
+    let (mut begin, mut kept, mut pairs) = (0, 0, 0);
+    for (length, kept_here, pairs_here) in netted {
+        triples.copy_within(begin..begin + kept_here, kept);
+        (begin, kept, pairs) = (begin + length, kept + kept_here, pairs + pairs_here);
+    }
+    triples.truncate(kept);
+    Ok(pairs)
+}
+
+/// The same of sorted triples: how many are kept, in front, and the pairs taken.
+fn net_sorted(triples: &mut [[u32; 3]]) -> (usize, u64) {
     let (mut kept, mut pairs) = (0, 0);
     let mut next = 0;
     while next < triples.len() {
         let [a, b, c] = triples[next];
-        let group = triples[next..].iter().take_while(|t| key(**t) >> 1 == key([a, b, c]) >> 1).count();
+        let group = triples[next..].iter().take_while(|t| coincide(**t, [a, b, c])).count();
         let plain = triples[next..next + group].iter().take_while(|t| t[2] & FLIPPED == 0).count();
         let flipped = group - plain;
         let last = triples[next + group - 1];
@@ -141,8 +172,7 @@ pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Re
         pairs += plain.min(flipped) as u64;
         next += group;
     }
-    triples.truncate(kept);
-    Ok(pairs)
+    (kept, pairs)
 }
 
 #[cfg(test)]

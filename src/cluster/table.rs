@@ -7,6 +7,8 @@
 //! for.
 
 use super::grid::{COORDINATE_BITS, LOCAL_BITS, MAX_CELLS, Steps, cell_key};
+use crate::cores::InPieces;
+use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::*};
 
 /// Cells for which the table has one block. Surfaces need one for 14 to 17 cells; sparse vertices need more, and then
@@ -180,21 +182,32 @@ impl CellTable {
     /// Each cell's rank in Morton order: a numbering that only the set of cells decides, and in which neighbours in
     /// space are neighbours in memory.
     pub(super) fn ranks(&self) -> Vec<u32> {
-        let mut order: Vec<(u64, u32)> = (self.blocks.iter().enumerate())
-            .filter_map(|(slot, key)| Some((morton(key.load(Relaxed).checked_sub(1)?), slot as u32)))
-            .collect();
-        order.sort_unstable();
-        let mut ranks = vec![0u32; self.len()];
+        let block = |(slot, key): (usize, &AtomicU64)| Some((morton(key.load(Relaxed).checked_sub(1)?), slot as u32));
+        let mut order: Vec<(u64, u32)> = self.blocks.par_iter().enumerate().in_pieces(4096).filter_map(block).collect();
+        order.par_sort_unstable();
+        let numbers = |slot: u32| &self.numbers[slot as usize * 64..][..64];
+        let count = |slot: u32| numbers(slot).iter().map(|number| u32::from(number.load(Relaxed) != 0)).sum::<u32>();
+        let mut firsts: Vec<u32> = order.par_iter().in_pieces(256).map(|(_, slot)| count(*slot)).collect();
         let mut next = 0;
-        for (_, slot) in order {
-            for number in &self.numbers[slot as usize * 64..][..64] {
-                if let Some(rank) = (number.load(Relaxed) as usize).checked_sub(1).and_then(|n| ranks.get_mut(n)) {
-                    *rank = next;
-                    next += 1;
+        for first in &mut firsts {
+            next += std::mem::replace(first, next);
+        }
+        let ranks: Vec<AtomicU32> = bytemuck::zeroed_vec(self.len());
+        order.par_iter().zip(firsts).in_pieces(256).for_each(|((_, slot), first)| {
+            // Which of the places are taken is as good as random, so they are gathered without a branch.
+            let (mut taken, mut cells) = ([0; 64], 0);
+            for number in numbers(*slot) {
+                let number = number.load(Relaxed);
+                taken[cells % 64] = number;
+                cells += usize::from(number != 0);
+            }
+            for (rank, number) in (first..).zip(&taken[..cells]) {
+                if let Some(of) = ranks.get(*number as usize - 1) {
+                    of.store(rank, Relaxed);
                 }
             }
-        }
-        ranks
+        });
+        ranks.into_iter().map(AtomicU32::into_inner).collect()
     }
 
     /// Drops all but the cells' keys: nothing can be binned any more.

@@ -8,6 +8,7 @@
 
 use super::place::optimal;
 use super::surface::{Surface, turned};
+use crate::cores::InPieces;
 use crate::mesh::{Coordinate, narrow, step};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -34,11 +35,16 @@ impl<S: Coordinate> Batch<S> {
 
     /// Makes room for a batch among `vertices`, in which nothing moves yet.
     pub fn begin(&mut self, vertices: usize, next: u32) {
-        self.next.clear();
-        self.next.resize_with(vertices, || AtomicU32::new(next));
-        self.leaders.clear();
-        self.leaders.resize_with(vertices, || AtomicU32::new(NONE));
-        self.spots.resize(vertices, [S::narrow(0.0); 3]);
+        let fill = |numbers: &mut Vec<AtomicU32>, x: u32| {
+            (0..vertices).into_par_iter().in_pieces(4096).map(|_| AtomicU32::new(x)).collect_into_vec(numbers);
+        };
+        fill(&mut self.next, next);
+        fill(&mut self.leaders, NONE);
+        if self.spots.len() < vertices {
+            self.spots = Vec::new();
+            self.spots = bytemuck::zeroed_vec(vertices);
+        }
+        self.spots.truncate(vertices);
     }
 
     /// The leader of the group that `v` is in, or [`NONE`].
@@ -63,12 +69,12 @@ impl<S: Coordinate> Batch<S> {
     /// All leaders, in order.
     pub fn all_leaders(&self) -> Vec<u32> {
         let leads = |(v, leader): (usize, &AtomicU32)| (leader.load(Relaxed) == v as u32).then_some(v as u32);
-        self.leaders.par_iter().enumerate().with_min_len(4096).filter_map(leads).collect()
+        self.leaders.par_iter().enumerate().in_pieces(4096).filter_map(leads).collect()
     }
 
     /// How many vertices are in groups.
     pub fn moving(&self) -> usize {
-        self.leaders.par_iter().with_min_len(4096).filter(|leader| leader.load(Relaxed) != NONE).count()
+        self.leaders.par_iter().in_pieces(4096).filter(|leader| leader.load(Relaxed) != NONE).count()
     }
 
     /// The members of a group, its leader first.
@@ -119,7 +125,7 @@ impl<S: Coordinate> Batch<S> {
         };
         let this = &*self;
         let folded = |f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
-        let mut back = in_order((0..faces).into_par_iter().with_min_len(4096).filter_map(folded).collect());
+        let mut back = in_order((0..faces).into_par_iter().in_pieces(4096).filter_map(folded).collect());
         let mut members = Vec::new();
         while !back.is_empty() {
             let mut around = Vec::new();

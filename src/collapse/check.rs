@@ -4,6 +4,7 @@ use super::Options;
 use super::batch::{Batch, NONE, order};
 use super::policy::{FoldCheck, Topology};
 use super::surface::{Around, Surface, turned};
+use crate::cores::InPieces;
 use crate::mesh::{Coordinate, step};
 use rayon::prelude::*;
 
@@ -81,7 +82,7 @@ pub(super) fn take_back_neighbours<S: Coordinate>(batch: &mut Batch<S>, surface:
             p != u && q != NONE && of_u.binary_search(&q).is_ok() && order(p, q) < order(v, u)
         })
     };
-    let back: Vec<u32> = this.all_leaders().into_par_iter().with_min_len(256).filter(loses).collect();
+    let back: Vec<u32> = this.all_leaders().into_par_iter().in_pieces(256).filter(loses).collect();
     for v in back {
         let u = this.next[v as usize].load(std::sync::atomic::Ordering::Relaxed);
         this.take_back(&[v, u]);

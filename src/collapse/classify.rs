@@ -1,6 +1,7 @@
 //! What the mesh's edges and vertices are: regular, border, non-manifold.
 
 use super::surface::{ODD, Surface};
+use crate::cores::InPieces;
 use crate::mesh::Coordinate;
 use crate::mesh::audit::{Irregularities, irregularities, is_regular};
 use rayon::prelude::*;
@@ -10,7 +11,7 @@ use std::sync::atomic::Ordering::Relaxed;
 pub(super) fn classify<S: Coordinate>(surface: &Surface<S>) -> Irregularities {
     (0..surface.positions.len() as u32)
         .into_par_iter()
-        .with_min_len(1024)
+        .in_pieces(1024)
         .map_init(Vec::new, |ends, v| {
             ends.clear();
             ends.extend(surface.stars.of(v).iter().map(|&c| surface.ends(c)));

@@ -4,6 +4,7 @@ use super::Followed;
 use super::batch::{Batch, NONE};
 use super::shade::Numbers;
 use super::surface::{KEPT, Surface, TOUCHED};
+use crate::cores::InPieces;
 use crate::mesh::{Coordinate, widen};
 use crate::quadric::PackedQuadric;
 use rayon::prelude::*;
@@ -15,6 +16,9 @@ const USED: u8 = 4;
 /// Groups whose merged quadrics are held at a time, 64 bytes each.
 const BLOCK: usize = 1 << 16;
 
+/// Vertices that are seen to together.
+const PART: usize = 1 << 14;
+
 /// Performs the collapses of `batch`, whose leaders are given. Returns the largest squared error among the merged vertices.
 pub(super) fn commit<S: Coordinate>(
     surface: &mut Surface<S>,
@@ -22,7 +26,7 @@ pub(super) fn commit<S: Coordinate>(
     leaders: &[u32],
     followed: &mut Followed<S>,
 ) -> f64 {
-    surface.marks.par_iter().with_min_len(4096).for_each(|m| {
+    surface.marks.par_iter().in_pieces(4096).for_each(|m| {
         m.fetch_and(KEPT, Relaxed);
     });
     surface.forget_roots();
@@ -32,7 +36,7 @@ pub(super) fn commit<S: Coordinate>(
     surface.pieces.count(&surface.faces);
     let numbers = &batch.next;
     for homes in followed.lists() {
-        homes.par_iter_mut().with_min_len(4096).filter(|home| **home != NONE).for_each(|home| {
+        homes.par_iter_mut().in_pieces(4096).filter(|home| **home != NONE).for_each(|home| {
             *home = numbers[batch.becomes(*home) as usize].load(Relaxed);
         });
     }
@@ -45,7 +49,7 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
         let this = &*surface;
         let merged: Vec<(PackedQuadric, u8, f64)> = block
             .par_iter()
-            .with_min_len(256)
+            .in_pieces(256)
             .map_init(Vec::new, |members, &v| {
                 batch.members(v, members);
                 let q = this.merged(members, widen(batch.spots[v as usize]));
@@ -53,17 +57,15 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
                 (q.pack(), marks, if q.w > 0.0 { q.c / q.w } else { 0.0 })
             })
             .collect();
-        for (&v, (quadric, marks, error)) in block.iter().zip(merged) {
-            surface.learnt[v as usize] = quadric;
-            *surface.marks[v as usize].get_mut() = marks;
-            error_sq = error_sq.max(error);
-        }
+        put(&mut surface.learnt, block, |quadric, i| *quadric = merged[i].0);
+        put(&mut surface.marks, block, |mark, i| *mark.get_mut() = merged[i].1);
+        error_sq = merged.iter().map(|merged| merged.2).fold(error_sq, f64::max);
     }
     if surface.is_shaded() {
         let this = &*surface;
         let shades: Vec<Vec<(u32, Numbers)>> = leaders
             .par_iter()
-            .with_min_len(256)
+            .in_pieces(256)
             .map_init(Vec::new, |members, &v| {
                 batch.members(v, members);
                 this.merged_shades(&this.stars, members, widen(batch.spots[v as usize]))
@@ -82,10 +84,20 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
         }
         surface.wedges.settle();
     }
-    for &v in leaders {
-        surface.positions[v as usize] = batch.spots[v as usize];
-    }
+    put(&mut surface.positions, leaders, |position, i| *position = batch.spots[leaders[i] as usize]);
     error_sq
+}
+
+/// Changes the items of some of the leaders, which are in order; `change` hears which of them it is.
+fn put<T: Send>(items: &mut [T], leaders: &[u32], change: impl Fn(&mut T, usize) + Sync) {
+    items.par_chunks_mut(PART).enumerate().for_each(|(part, items)| {
+        let first = (part * PART) as u32;
+        let begin = leaders.partition_point(|&v| v < first);
+        for (i, &v) in leaders.iter().enumerate().skip(begin) {
+            let Some(item) = items.get_mut((v - first) as usize) else { break };
+            change(item, i);
+        }
+    });
 }
 
 /// Gives faces their new vertices and marks those that are no more, by [`NONE`].
@@ -97,7 +109,7 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
             m.fetch_or(bits, Relaxed);
         }
     };
-    surface.faces.par_iter_mut().with_min_len(4096).for_each(|face| {
+    surface.faces.par_iter_mut().in_pieces(4096).for_each(|face| {
         let changed = face.iter().any(|&v| batch.moves(v));
         let now = if changed { face.map(|v| batch.becomes(v)) } else { *face };
         if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
@@ -113,15 +125,23 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
 /// Drops faces that are no more and vertices that no face uses.
 fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
     let Surface { faces, costs, positions, learnt, current, shades, wedges, marks, pieces, .. } = surface;
-    let mut kept = 0;
-    for (number, mark) in numbers.iter_mut().zip(&mut *marks) {
-        let used = *mark.get_mut() & USED != 0;
-        *number.get_mut() = if used { kept } else { NONE };
-        kept += u32::from(used);
+    // How many are kept of each part first, so that threads can number parts.
+    let kept = |marks: &[AtomicU8]| marks.iter().map(|mark| u32::from(mark.load(Relaxed) & USED != 0)).sum::<u32>();
+    let mut firsts: Vec<u32> = marks.par_chunks(PART).map(kept).collect();
+    let mut next = 0;
+    for first in &mut firsts {
+        next += std::mem::replace(first, next);
     }
+    numbers.par_chunks_mut(PART).zip(marks.par_chunks_mut(PART)).zip(firsts).for_each(
+        |((numbers, marks), mut next)| {
+            for (number, mark) in numbers.iter_mut().zip(marks) {
+                let used = *mark.get_mut() & USED != 0;
+                *number.get_mut() = if used { next } else { NONE };
+                next += u32::from(used);
+            }
+        },
+    );
     let numbers = &*numbers;
-    let mut lives = faces.iter().map(|face| face[0] != NONE);
-    costs.retain(|_| lives.next() == Some(true));
     let mut lives = faces.iter().map(|face| face[0] != NONE);
     wedges.corners.retain(|_| lives.next() == Some(true));
     // Those of wedges stay where they are.
@@ -130,6 +150,8 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
     }
     rayon::join(
         || {
+            let mut lives = faces.iter().map(|face| face[0] != NONE);
+            costs.retain(|_| lives.next() == Some(true));
             faces.retain_mut(|face| {
                 let lives = face[0] != NONE;
                 if lives {

@@ -8,15 +8,16 @@
 use super::batch::{Batch, Edges, NONE, cheapest};
 use super::surface::{LANES, Surface};
 use super::{Options, Stride};
+use crate::cores::InPieces;
 use crate::mesh::Coordinate;
 use rayon::prelude::*;
-use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Chooses groups as large as `stride` allows.
 pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, stride: Stride, options: &Options) {
     batch.begin(surface.positions.len(), NONE);
     let costs = prefer(batch, surface, options.locks());
-    let free = costs.par_iter().with_min_len(4096).filter(|cost| cost.is_finite()).count();
+    let free = costs.par_iter().in_pieces(4096).filter(|cost| cost.is_finite()).count();
     let limit = super::limit(&costs, (stride.share * free as f64) as u64);
     let limit = options.part.map_or(limit, |part| limit.min(part.most_cost));
     follow(batch, &costs, limit, stride.longest);
@@ -27,20 +28,22 @@ pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, 
 
 /// Every vertex looks for its cheapest edge, where some are locked to one that is not. Returns what it costs.
 fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, locks: bool) -> Vec<f32> {
-    let mut costs = vec![f32::INFINITY; surface.positions.len()];
-    batch.next.par_iter_mut().zip(&mut costs).enumerate().with_min_len(1024).for_each(|(v, (best, cost))| {
+    let mut costs = Vec::new();
+    let look = |(v, best): (usize, &mut AtomicU32)| {
         let v = v as u32;
         let ranked = Ranked { surface, v, locks };
         if surface.pieces.is_small(v) || ranked.is_locked(v) {
-            return;
+            return f32::INFINITY;
         }
         let (least, end) = cheapest(v, u32::MAX, &ranked);
         // Else all around are locked.
-        if end != NONE {
-            *best.get_mut() = end;
-            *cost = f32::from_bits(least);
+        if end == NONE {
+            return f32::INFINITY;
         }
-    });
+        *best.get_mut() = end;
+        f32::from_bits(least)
+    };
+    batch.next.par_iter_mut().enumerate().in_pieces(1024).map(look).collect_into_vec(&mut costs);
     costs
 }
 
@@ -84,7 +87,7 @@ impl<S: Coordinate> Edges for Ranked<'_, S> {
 fn follow<S: Coordinate>(batch: &mut Batch<S>, costs: &[f32], limit: f32, longest: usize) {
     let (next, leaders) = (&batch.next, &batch.leaders);
     let prefers = |v: u32| next[v as usize].load(Relaxed);
-    leaders.par_iter().zip(costs).enumerate().with_min_len(4096).for_each(|(v, (leader, &cost))| {
+    leaders.par_iter().zip(costs).enumerate().in_pieces(4096).for_each(|(v, (leader, &cost))| {
         let (mut v, mut u) = (v as u32, prefers(v as u32));
         if cost > limit {
             return;
@@ -99,11 +102,11 @@ fn follow<S: Coordinate>(batch: &mut Batch<S>, costs: &[f32], limit: f32, longes
         }
     });
     // The groups as rings. Leaders are in before those who follow.
-    for v in 0..leaders.len() as u32 {
-        if batch.leader(v) == v {
-            *batch.next[v as usize].get_mut() = v;
+    batch.next.par_iter_mut().zip(leaders).enumerate().in_pieces(4096).for_each(|(v, (next, leader))| {
+        if leader.load(Relaxed) == v as u32 {
+            *next.get_mut() = v as u32;
         }
-    }
+    });
     for v in 0..batch.leaders.len() as u32 {
         let leader = batch.leader(v);
         if leader != NONE && leader != v {
@@ -117,7 +120,7 @@ fn follow<S: Coordinate>(batch: &mut Batch<S>, costs: &[f32], limit: f32, longes
 fn settle<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) {
     let mut spots = std::mem::take(&mut batch.spots);
     let this = &*batch;
-    spots.par_iter_mut().enumerate().with_min_len(1024).for_each_init(Vec::new, |members, (v, spot)| {
+    spots.par_iter_mut().enumerate().in_pieces(1024).for_each_init(Vec::new, |members, (v, spot)| {
         if this.leader(v as u32) == v as u32 {
             this.members(v as u32, members);
             *spot = this.place(surface, members);

@@ -3,6 +3,7 @@
 use super::Options;
 use super::policy::Features;
 use super::surface::{Around, FEATURE, LOCKED, Surface};
+use crate::cores::InPieces;
 use crate::mesh::Coordinate;
 use crate::quadric::Quadric;
 use glam::DVec3;
@@ -23,14 +24,14 @@ impl<S: Coordinate> Surface<S> {
         for &point in options.locked {
             let distance_sq = |v: u32| self.at(v).distance_squared(point);
             let nearer = |a: u32, b: u32| if (distance_sq(b), b) < (distance_sq(a), a) { b } else { a };
-            if let Some(v) = (0..self.positions.len() as u32).into_par_iter().with_min_len(4096).reduce_with(nearer) {
+            if let Some(v) = (0..self.positions.len() as u32).into_par_iter().in_pieces(4096).reduce_with(nearer) {
                 self.marks[v as usize].fetch_or(LOCKED, Relaxed);
             }
         }
         if !options.policies.lock_border && options.policies.features.is_none() {
             return;
         }
-        (0..self.positions.len() as u32).into_par_iter().with_min_len(1024).for_each(|v| {
+        (0..self.positions.len() as u32).into_par_iter().in_pieces(1024).for_each(|v| {
             let neighbours = self.neighbours(&self.stars, v);
             let has = |is: &dyn Fn(u32) -> bool| neighbours.iter().any(|&u| is(u));
             let border = |u| self.shared(&self.stars, v, u).count() == 1;

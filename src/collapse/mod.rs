@@ -39,6 +39,7 @@ mod batch;
 mod check;
 mod classify;
 mod commit;
+mod evaluate;
 mod faces;
 mod groups;
 mod hold;
@@ -61,6 +62,7 @@ pub use policy::{
 };
 
 use crate::Result;
+use crate::cores::InPieces;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, widen};
 use crate::progress::{Progress, Stage};
 use crate::quadric::PackedQuadric;
@@ -361,12 +363,12 @@ fn prepare<S: Coordinate>(
     let mut surface = Surface::new(mesh, learnt, shades, wedges);
     surface.stars.rebuild(&surface.faces, n);
     progress.check()?;
-    let irregularities = classify::classify(&surface);
+    let (irregularities, joined) = rayon::join(|| classify::classify(&surface), || pieces::joined(&surface.faces, n));
     progress.check()?;
     surface.mark_held(options);
     locked.iter().for_each(|v| *surface.marks[*v as usize].get_mut() |= LOCKED);
     surface.mark_seams();
-    surface.find_pieces();
+    surface.find_pieces(joined);
     progress.check()?;
     if surface.learnt.is_empty() {
         surface.learn(options);
@@ -377,7 +379,7 @@ fn prepare<S: Coordinate>(
 /// The largest error that the vertices come with: clustering's, zero for the scan itself.
 fn largest_error_sq(learnt: &[PackedQuadric]) -> f64 {
     let error_sq = |q: &PackedQuadric| if q.w > 0.0 { f64::from(q.c) / f64::from(q.w) } else { 0.0 };
-    learnt.par_iter().with_min_len(4096).map(error_sq).reduce(|| 0.0, f64::max)
+    learnt.par_iter().in_pieces(4096).map(error_sq).reduce(|| 0.0, f64::max)
 }
 
 /// What is to be found again in the result.
@@ -487,7 +489,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             let faces = surface.shared(&surface.stars, keeps, goes).count() as u32;
             Proposal { cost, keeps, goes, faces, spot: batch.spots[keeps as usize] }
         };
-        batch.all_leaders().par_iter().with_min_len(256).map(proposal).collect()
+        batch.all_leaders().par_iter().in_pieces(256).map(proposal).collect()
     }
 
     /// Keeps only the cheapest groups of the batch, so that at most `most` vertices go.
@@ -504,7 +506,7 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
             };
             (settled::<S>(cost as f32).to_bits(), order(v, v), members.len() - 1)
         };
-        let mut keyed: Vec<_> = leaders.par_iter().with_min_len(256).map_init(Vec::new, key).collect();
+        let mut keyed: Vec<_> = leaders.par_iter().in_pieces(256).map_init(Vec::new, key).collect();
         keyed.sort_unstable();
         let mut members = Vec::new();
         let mut gone = 0;

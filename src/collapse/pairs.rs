@@ -13,6 +13,7 @@ use super::batch::{Batch, Edges, NONE, cheapest};
 use super::check::take_back_neighbours;
 use super::policy::{FoldCheck, Topology};
 use super::surface::Surface;
+use crate::cores::InPieces;
 use crate::mesh::adjacency::{after, before, parts};
 use crate::mesh::{Coordinate, widen};
 use rayon::prelude::*;
@@ -58,7 +59,7 @@ fn prefer<S: Coordinate>(
 ) {
     let leaders = &batch.leaders;
     let free = |v: u32| is_free(leaders, v);
-    batch.next.par_iter_mut().enumerate().with_min_len(1024).for_each(|(v, best)| {
+    batch.next.par_iter_mut().enumerate().in_pieces(1024).for_each(|(v, best)| {
         let (v, best) = (v as u32, best.get_mut());
         if *best == NONE || !free(v) || *best != ASK && free(*best) {
             return;
@@ -77,7 +78,7 @@ fn take<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, options: &Opt
         .spots
         .par_iter_mut()
         .enumerate()
-        .with_min_len(1024)
+        .in_pieces(1024)
         .fold(
             || (0, Vec::new()),
             |(taken, mut refused), (v, spot)| {

@@ -8,6 +8,7 @@
 
 use super::batch::NONE;
 use super::policy::Least;
+use crate::cores::InPieces;
 use crate::mesh::{Coordinate, Extent, IndexedMesh, Shades, Wedges, widen};
 use crate::quadric::PackedQuadric;
 use glam::DVec3;
@@ -37,9 +38,13 @@ struct Piece {
 }
 
 impl Pieces {
-    /// Finds the pieces of a mesh. `is_odd` says of a vertex whether it is on a border.
-    pub fn find<S: Coordinate>(mesh: &IndexedMesh<S>, is_odd: impl Fn(u32) -> bool) -> Self {
-        let mut of = roots(mesh);
+    /// Finds the pieces of a mesh, whose vertices [`joined`] has joined. `is_odd` says of a vertex whether it is on a border.
+    pub fn find<S: Coordinate>(mesh: &IndexedMesh<S>, joined: Vec<u32>, is_odd: impl Fn(u32) -> bool) -> Self {
+        let mut of = joined;
+        let first = mesh.faces.first().map_or(0, |face| of[face[0] as usize]);
+        if mesh.faces.par_iter().in_pieces(4096).all(|face| of[face[0] as usize] == first) {
+            return Pieces::default();
+        }
         let mut list = Vec::new();
         let mut numbers = vec![NONE; of.len()];
         for &[v, ..] in &mesh.faces {
@@ -48,9 +53,6 @@ impl Pieces {
                 numbers[root] = list.len() as u32;
                 list.push(Piece { faces: 0, last: 4, stake: 0.0 });
             }
-        }
-        if list.len() < 2 {
-            return Pieces::default();
         }
         for root in &mut of {
             *root = numbers[*root as usize];
@@ -178,7 +180,7 @@ pub(super) fn drop_small<S: Coordinate>(
     wedges: &mut Wedges,
     least: Least,
 ) -> Dropped {
-    let of = roots(mesh);
+    let of = joined(&mesh.faces, mesh.positions.len());
     let mut sizes = vec![0.0f64; of.len()];
     for &[a, b, c] in &mesh.faces {
         let area = || 0.5 * (mesh.at(b) - mesh.at(a)).cross(mesh.at(c) - mesh.at(a)).length();
@@ -218,9 +220,9 @@ fn keep<T>(items: &mut Vec<T>, go: &[bool]) {
     items.retain(|_| go.next() == Some(&false));
 }
 
-/// For every vertex the least vertex that faces join it to: itself where it has none.
-fn roots<S: Coordinate>(mesh: &IndexedMesh<S>) -> Vec<u32> {
-    let mut up: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+/// For every one of `vertices` vertices the least that `faces` join it to: itself where it has none.
+pub(super) fn joined(faces: &[[u32; 3]], vertices: usize) -> Vec<u32> {
+    let mut up: Vec<u32> = (0..vertices as u32).collect();
     let root = |up: &mut [u32], mut v: u32| {
         while up[v as usize] != v {
             up[v as usize] = up[up[v as usize] as usize];
@@ -228,7 +230,7 @@ fn roots<S: Coordinate>(mesh: &IndexedMesh<S>) -> Vec<u32> {
         }
         v
     };
-    for &[a, b, c] in &mesh.faces {
+    for &[a, b, c] in faces {
         let mut low = root(&mut up, a);
         for v in [b, c] {
             let r = root(&mut up, v);
@@ -364,6 +366,10 @@ mod tests {
         assert_eq!(places.nearest_sq(DVec3::ZERO, |_| false), f64::INFINITY);
     }
 
+    fn found(mesh: &IndexedMesh<f32>) -> Pieces {
+        Pieces::find(mesh, joined(&mesh.faces, mesh.positions.len()), |_| false)
+    }
+
     #[test]
     fn pieces_are_found_whatever_the_order_of_faces() {
         let mut mesh = dust(50, 0.01);
@@ -372,11 +378,11 @@ mod tests {
             mesh.faces.insert(i as usize * 3, [4 * i + 3, 4 * i - 2, 4 * i]);
         }
         mesh.positions.push([0.0; 3]);
-        let pieces = Pieces::find(&mesh, |_| false);
+        let pieces = found(&mesh);
         let last = pieces.of[196];
         assert!((0..196).all(|v| pieces.of[v] == pieces.of[0]) && last != pieces.of[0]);
         assert_eq!((pieces.list.len(), pieces.list[last as usize].faces, pieces.of[200]), (2, 4, NONE));
-        assert!(Pieces::find(&dust(1, 0.1), |_| false).of.is_empty());
+        assert!(found(&dust(1, 0.1)).of.is_empty());
     }
 
     #[test]
@@ -404,7 +410,7 @@ mod tests {
             mesh.positions[v] = mesh.positions[v % 4].map(|x| x + offset);
         }
         mesh.faces.extend([[0, 1, 2], [0, 1, 2]]);
-        let mut pieces = Pieces::find(&mesh, |_| false);
+        let mut pieces = found(&mesh);
         // Half of three squares' halves and the slanted face; about 3.46 away.
         let area = 0.125 * 0.125 * (1.5 + 0.75f64.sqrt());
         let stake = f64::from(pieces.price(5, 0.0));

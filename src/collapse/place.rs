@@ -7,11 +7,11 @@ use glam::DVec3;
 
 /// Pull towards the middle of the edge, as a share of the mean weight: it fixes what the planes leave open (a flat's vertex
 /// does not slide), and is too weak to be felt where they say something.
-const PULL: f64 = 1e-4;
+pub(super) const PULL: f64 = 1e-4;
 
 /// A placement further from the middle than this many edge lengths is the intersection of nearly parallel planes, not a
 /// place on the surface: the best of the middle and the ends is taken instead.
-const REACH: f64 = 3.0;
+pub(super) const REACH: f64 = 3.0;
 
 /// A quadric that bends less than this along an edge, as a share of its weight, is constant there: no place on it is best.
 const FLAT: f64 = 1e-12;

@@ -13,6 +13,7 @@ use super::Options;
 use super::place::best;
 use super::policy::Placement;
 use super::surface::{Around, Candidate, LOCKED, SEAM, Surface};
+use crate::cores::InPieces;
 use crate::mesh::Coordinate;
 use crate::quadric::Quadric;
 use glam::DVec3;
@@ -72,7 +73,7 @@ impl<S: Coordinate> Surface<S> {
         if !self.is_seamed() {
             return;
         }
-        (0..self.positions.len() as u32).into_par_iter().with_min_len(1024).for_each(|v| {
+        (0..self.positions.len() as u32).into_par_iter().in_pieces(1024).for_each(|v| {
             let seams =
                 self.neighbours(&self.stars, v).into_iter().filter(|&u| self.is_seam(&self.stars, v, u)).count();
             let stays = if seams == 2 && !self.odd(v) { 0 } else { LOCKED };

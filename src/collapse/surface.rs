@@ -3,6 +3,7 @@
 use super::pieces::Pieces;
 use super::policy::{FoldCheck, Placement, Quadrics, Weighting};
 use super::{LEARNT_WEIGHT, Options};
+use crate::cores::InPieces;
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, narrow, step, widen};
 use crate::quadric::{PackedQuadric, Quadric};
@@ -36,7 +37,7 @@ pub(super) struct Surface<S> {
     pub current: Vec<[S; 6]>,
     /// A vector a face whose product with itself is the face's plane: while edges are evaluated, where arrays that have
     /// shrunk have made room for it; else empty.
-    roots: Vec<[S; 3]>,
+    pub roots: Vec<[S; 3]>,
     /// Faces that came in.
     faces_at_first: usize,
     /// Attributes as lengths, where they steer; else empty.
@@ -292,13 +293,13 @@ impl<S: Coordinate> Surface<S> {
         if options.policies.weighting != Weighting::Area || options.policies.features.is_some() || self.holds_seams() {
             let this = &*self;
             let form = |v: u32| this.form_around(&this.stars, v, options).pack();
-            self.learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(form).collect();
+            self.learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(1024).map(form).collect();
             return;
         }
         let mut roots = Vec::new();
         self.find_roots::<f32>(&mut roots);
         let this = &*self;
-        let learnt = (0..this.positions.len() as u32).into_par_iter().with_min_len(1024).map(|v| {
+        let learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(1024).map(|v| {
             let mut q = if this.odd(v) { this.borders_at(&this.stars, v, options) } else { Quadric::default() };
             for &corner in this.stars.of(v) {
                 q += squared(roots[parts(corner).0].map(f64::from));
@@ -314,11 +315,11 @@ impl<S: Coordinate> Surface<S> {
         at_most_refused(self.pieces.price(a, settled::<S>(self.candidate(around, a, b, options).cost as f32)))
     }
 
-    /// Finds the pieces that the mesh falls into.
-    pub fn find_pieces(&mut self) {
+    /// Finds the pieces that the mesh falls into, of which `joined` says what is joined.
+    pub fn find_pieces(&mut self, joined: Vec<u32>) {
         let mesh =
             IndexedMesh { positions: std::mem::take(&mut self.positions), faces: std::mem::take(&mut self.faces) };
-        self.pieces = Pieces::find(&mesh, |v| self.odd(v));
+        self.pieces = Pieces::find(&mesh, joined, |v| self.odd(v));
         (self.positions, self.faces) = (mesh.positions, mesh.faces);
     }
 
@@ -355,25 +356,6 @@ impl<S: Coordinate> Surface<S> {
         self.marks.shrink_to_fit();
         self.pieces.of.shrink_to_fit();
         self.stars.give_back();
-    }
-
-    /// Fills the costs of all edges for which `stale` says that they must be computed again: all where there are none.
-    pub fn evaluate(&mut self, options: &Options, stale: impl Fn(u8) -> bool + Sync) {
-        let mut costs = std::mem::take(&mut self.costs);
-        let none = costs.is_empty();
-        costs.resize(self.faces.len(), [0.0; 3]);
-        let this = &*self;
-        this.faces.par_iter().zip(&mut costs).with_min_len(1024).for_each(|(face, costs)| {
-            for i in 0..3 {
-                let (a, b) = (face[i], face[(i + 1) % 3]);
-                if !this.answers_for(a, b) {
-                    costs[i] = f32::INFINITY;
-                } else if none || stale(this.mark(a) | this.mark(b)) {
-                    costs[i] = this.cost(&this.stars, a, b, options);
-                }
-            }
-        });
-        self.costs = costs;
     }
 
     /// Remembers that the collapse of an edge was refused.
@@ -418,7 +400,7 @@ impl<S: Coordinate> Surface<S> {
             let length = normal.length();
             narrow(if length > 0.0 { normal * (0.5 / length).sqrt() } else { DVec3::ZERO })
         };
-        (0..self.faces.len()).into_par_iter().with_min_len(1024).map(root).collect_into_vec(roots);
+        (0..self.faces.len()).into_par_iter().in_pieces(1024).map(root).collect_into_vec(roots);
     }
 
     /// The area-weighted plane of a face, as its root says if that is known.
@@ -446,7 +428,7 @@ impl<S: Coordinate> Surface<S> {
         let all = current.is_empty();
         current.resize(self.positions.len(), [S::narrow(0.0); 6]);
         let this = &*self;
-        current.par_iter_mut().enumerate().with_min_len(1024).for_each(|(v, form)| {
+        current.par_iter_mut().enumerate().in_pieces(1024).for_each(|(v, form)| {
             let v = v as u32;
             if all || this.mark(v) & TOUCHED != 0 {
                 *form = this.form_around(&this.stars, v, options).a.map(S::narrow);
@@ -472,7 +454,7 @@ impl<S: Coordinate> Surface<S> {
 
 /// In doubles costs are multiples of this share of what an edge's planes would cost if they stood across it: less is what
 /// the quadrics, kept in singles, round off.
-const STEP: f64 = 1.0 / (1 << 24) as f64;
+pub(super) const STEP: f64 = 1.0 / (1 << 24) as f64;
 
 /// Bits of a cost in singles that do not count in doubles. On models with many edges alike (a sphere by latitude and longitude,
 /// CT surfaces) none, or 6 with twice the step, leave ties to rounding; 13 with sixteen times the step put scans apart
@@ -489,7 +471,7 @@ fn above_rounding(cost: f64, most: f64) -> f64 {
 
 /// A cost, or [`REFUSED`] for one that is no number below it.
 #[inline(always)]
-fn at_most_refused(cost: f32) -> f32 {
+pub(super) fn at_most_refused(cost: f32) -> f32 {
     if cost < REFUSED { cost } else { REFUSED }
 }
 
@@ -582,7 +564,7 @@ fn least_of_three<S: Coordinate>(p: &PackedQuadric, others: [&PackedQuadric; LAN
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     const SIDE: u32 = 5;
@@ -591,7 +573,7 @@ mod tests {
     const NEIGHBOURS: [u32; 6] = [6, 7, 11, 13, 17, 18];
 
     /// A grid of five by five vertices that are not in a plane.
-    fn bumps<S: Coordinate>() -> Surface<S> {
+    pub(in crate::collapse) fn bumps<S: Coordinate>() -> Surface<S> {
         let at =
             |v: u32| DVec3::new(f64::from(v % SIDE), f64::from(v / SIDE), f64::from(v * v * 7 % 11) / 22.0) * 0.125;
         let positions = (0..SIDE * SIDE).map(|v| narrow(at(v))).collect();
@@ -622,6 +604,13 @@ mod tests {
     fn edges_are_ranked_by_the_best_of_the_middle_and_the_ends() {
         ranks_are_least_of_three::<f32>();
         ranks_are_least_of_three::<f64>();
+    }
+
+    /// With the quadrics of its faces, and their roots as where half of the faces have gone.
+    pub(in crate::collapse) fn with_roots<S: Coordinate>(mut surface: Surface<S>, options: &Options) -> Surface<S> {
+        surface.faces_at_first = ROOTS_FROM * surface.faces.len();
+        surface.renew_current(options);
+        surface
     }
 
     fn roots_are_planes<S: Coordinate>() {

@@ -132,7 +132,7 @@ impl<S: Coordinate> Tail<'_, S> {
             for i in 0..3 {
                 let (a, b) = (face[i], face[(i + 1) % 3]);
                 let first = || self.surface.shared(&self.overlay, a, b).min() == Some(f as u32);
-                if a < b || first() {
+                if a < b || self.surface.answers_for(a, b) && first() {
                     // One that was refused is asked again: its neighbours may have gone since.
                     let cost = kept.get(f).map(|costs| costs[i]).filter(|cost| *cost < REFUSED);
                     entries.push(cost.map_or_else(|| self.entry(a, b), |cost| Reverse((cost.to_bits(), order(a, b)))));

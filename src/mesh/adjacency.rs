@@ -1,83 +1,37 @@
 //! Which corners meet at each vertex.
 
-use rayon::prelude::*;
+use super::groups::{self, Groups};
 
-/// The star of every vertex, as one array: the corners at vertex `v` are `corners[first[v]..first[v + 1]]`, in face
-/// order. A corner is `4·face + side`, so that its parts come off by shifts. 12 bytes a face and 4 a vertex.
+/// The star of every vertex: the corners there, in face order. A corner is `4·face + side`, so that its parts come off by
+/// shifts. 12 bytes a face and 4 a vertex.
 #[derive(Debug, Default)]
-pub struct Stars {
-    first: Vec<u32>,
-    corners: Vec<u32>,
-}
+pub struct Stars(Groups);
 
-/// Into how many vertex ranges a build is cut. Each range scans all faces, so more would cost more than it spreads; the
-/// result does not depend on it.
-const RANGES: usize = 4;
 /// Faces below which it is not cut: of 500,000 two threads are no faster, of 70,000 they take twice as long.
 const UNCUT_FACES: usize = 1 << 19;
 
 impl Stars {
     /// Gives back the memory that is not in use.
     pub fn give_back(&mut self) {
-        self.first.shrink_to_fit();
-        self.corners.shrink_to_fit();
+        self.0.give_back();
     }
 
     /// Rebuilds for `faces` over `vertices` vertices, reusing the memory. At most [`MOST_FACES`].
     pub fn rebuild(&mut self, faces: &[[u32; 3]], vertices: usize) {
-        let ranges = if faces.len() < UNCUT_FACES { 1 } else { RANGES.min(rayon::current_num_threads()) };
+        let ranges = if faces.len() < UNCUT_FACES { 1 } else { groups::ranges() };
         self.rebuild_in(ranges, faces, vertices);
     }
 
     fn rebuild_in(&mut self, ranges: usize, faces: &[[u32; 3]], vertices: usize) {
         assert!(faces.len() <= MOST_FACES, "a corner is numbered in 32 bits");
-        self.first.clear();
-        self.first.resize(vertices + 1, 0);
-        let span = vertices.div_ceil(ranges).max(1);
-
-        // first[v + 1] counts v's corners, then holds where they begin, and after filling where they end.
-        self.first[1..].par_chunks_mut(span).enumerate().for_each(|(range, counts)| {
-            let low = (range * span) as u32;
-            for &v in faces.iter().flatten() {
-                if let Some(count) = counts.get_mut(v.wrapping_sub(low) as usize) {
-                    *count += 1;
-                }
-            }
-        });
-        let mut begin = 0;
-        for slot in &mut self.first[1..] {
-            begin += std::mem::replace(slot, begin);
-        }
-        self.corners.clear();
-        self.corners.resize(3 * faces.len(), 0);
-
-        let mut rest = self.corners.as_mut_slice();
-        let mut taken = 0;
-        let mut parts = Vec::with_capacity(ranges);
-        let mut ends = self.first[1..].chunks_mut(span).peekable();
-        while let Some(cursors) = ends.next() {
-            let end = ends.peek().map_or(3 * faces.len(), |next| next[0] as usize);
-            let (part, later) = rest.split_at_mut(end - taken);
-            parts.push((taken as u32, cursors, part));
-            (rest, taken) = (later, end);
-        }
-        parts.into_par_iter().enumerate().for_each(|(range, (base, cursors, part))| {
-            let low = (range * span) as u32;
-            for (f, face) in faces.iter().enumerate() {
-                for (side, &v) in face.iter().enumerate() {
-                    if let Some(cursor) = cursors.get_mut(v.wrapping_sub(low) as usize) {
-                        part[(*cursor - base) as usize] = (f * 4 + side) as u32;
-                        *cursor += 1;
-                    }
-                }
-            }
-        });
+        let corners = |(f, face): (u32, &[u32; 3])| [(face[0], 4 * f), (face[1], 4 * f + 1), (face[2], 4 * f + 2)];
+        self.0.rebuild(vertices, ranges, || (0..).zip(faces).flat_map(corners));
     }
 
     /// The corners at `v`.
     #[inline(always)]
     pub fn of(&self, v: u32) -> &[u32] {
-        &self.corners[self.first[v as usize] as usize..self.first[v as usize + 1] as usize]
+        self.0.of(v as usize)
     }
 
     /// The face on the other side of an edge of face `f`; the first of more.
@@ -126,7 +80,7 @@ mod tests {
     fn every_corner_is_in_the_star_of_its_vertex_and_nowhere_else() {
         let faces: Vec<[u32; 3]> = (0..997u32).map(|i| [i * 7 % 113, i * 13 % 113 + 5, i * 31 % 120]).collect();
         let mut stars = Stars::default();
-        for ranges in [1, 2, 3, RANGES] {
+        for ranges in [1, 2, 3, 4] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(ranges).build().unwrap();
             pool.install(|| stars.rebuild_in(ranges, &faces, 121));
             let mut seen = 0;

@@ -1,6 +1,7 @@
 //! What a mesh's edges and vertices are: regular, border, non-manifold; and how many pieces and borders they form.
 
 use super::adjacency::{Stars, after, before, parts};
+use crate::cores::InPieces;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -62,7 +63,7 @@ impl Audit {
         };
         let irregularities = (0..vertices as u32)
             .into_par_iter()
-            .with_min_len(1024)
+            .in_pieces(1024)
             .map_init(Vec::new, |around, v| {
                 ends(v, around);
                 if is_regular(around) { Irregularities::default() } else { irregularities(v, around).1 }

@@ -6,6 +6,7 @@ pub mod boxes;
 pub mod coat;
 pub mod columns;
 mod frame;
+pub mod groups;
 mod indexed;
 mod mix;
 mod reference;

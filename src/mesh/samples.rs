@@ -4,17 +4,18 @@
 //! more surface than was thought before it was read; thinning by [`SurfaceSample::level`], a hash of what the sample
 //! is, then leaves the same ones whatever the order in which they came.
 
-use super::Coordinate;
+use super::{Coordinate, groups};
 use crate::error::Result;
 use crate::scratch::ScratchFile;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Levels that samples are told apart by.
 pub const LEVELS: usize = 32;
 
-/// Records that are read at a time.
-const AT_ONCE: usize = 1 << 15;
+/// Records that are read at a time: 256 KiB, which stay near.
+const AT_ONCE: usize = 1 << 14;
 
 /// The vertex of a sample that is nowhere near one.
 const NONE: u32 = u32::MAX;
@@ -170,29 +171,55 @@ impl SampleFile {
     /// Reads at most `most` of them back. `vertices` has a vertex for each cell; samples near none are left out.
     pub fn load(&self, most: usize, vertices: &[u32]) -> Result<SurfaceSamples> {
         let level = level_for(&self.levels, most as u64);
-        // Where the samples of a vertex begin: counted first, so that each is read straight to where it belongs.
-        let mut first = vec![0u32; vertices.iter().filter(|v| **v != NONE).max().map_or(0, |v| *v as usize + 1) + 1];
-        self.read(level, vertices, |sample| first[sample.near as usize + 1] += 1)?;
-        for v in 1..first.len() {
-            first[v] += first[v - 1];
+        let count = vertices.iter().filter(|v| **v != NONE).max().map_or(0, |v| *v as usize + 1);
+        let threads = groups::ranges();
+        // Where the samples of a vertex begin: counted first, a part of the file a thread, so that each is read straight to
+        // where it belongs.
+        let part = self.written.div_ceil(threads as u64);
+        let counted = |i: usize| {
+            let begin = (i as u64 * part).min(self.written);
+            let mut counts = vec![0u32; count];
+            let part = begin..(begin + part).min(self.written);
+            self.read(part, level, vertices, |sample| counts[sample.near as usize] += 1).map(|()| counts)
+        };
+        let parts: Vec<Vec<u32>> = (0..threads).into_par_iter().with_max_len(1).map(counted).collect::<Result<_>>()?;
+        let mut first = Vec::with_capacity(count + 1);
+        let mut all = 0;
+        first.push(0);
+        first.extend((0..count).map(|v| {
+            all += parts.iter().map(|counts| counts[v]).sum::<u32>();
+            all
+        }));
+        drop(parts);
+        // Then each thread goes through all of it for the samples of its vertices.
+        let mut samples: Vec<SurfaceSample> = bytemuck::zeroed_vec(all as usize);
+        let span = count.div_ceil(threads).max(1);
+        let mut rest = samples.as_mut_slice();
+        let mut tasks = Vec::with_capacity(threads);
+        for begin in (0..count).step_by(span) {
+            let first = &first[begin..=(begin + span).min(count)];
+            let (own, later) = rest.split_at_mut((first[first.len() - 1] - first[0]) as usize);
+            tasks.push((begin as u32, first, own));
+            rest = later;
         }
-        let mut samples: Vec<SurfaceSample> = bytemuck::zeroed_vec(first[first.len() - 1] as usize);
-        let mut next = first.clone();
-        self.read(level, vertices, |sample| {
-            let next = &mut next[sample.near as usize];
-            samples[*next as usize] = sample;
-            *next += 1;
+        tasks.into_par_iter().with_max_len(1).try_for_each(|(begin, first, own)| {
+            let mut next = first[..first.len() - 1].to_vec();
+            self.read(0..self.written, level, vertices, |sample| {
+                if let Some(next) = next.get_mut(sample.near.wrapping_sub(begin) as usize) {
+                    own[(*next - first[0]) as usize] = sample;
+                    *next += 1;
+                }
+            })
         })?;
-        drop(next);
         sort_groups(&mut samples, &first);
         Ok(SurfaceSamples { samples, lattice: self.lattice, area: self.area * f64::from(level).exp2() })
     }
 
-    /// Reads those that are near a vertex and of `level` or above.
-    fn read(&self, level: u32, vertices: &[u32], mut take: impl FnMut(SurfaceSample)) -> Result<()> {
+    /// Reads those of a part that are near a vertex and of `level` or above.
+    fn read(&self, part: Range<u64>, level: u32, vertices: &[u32], mut take: impl FnMut(SurfaceSample)) -> Result<()> {
         let mut records: Vec<SurfaceSample> = bytemuck::zeroed_vec(AT_ONCE);
-        for first in (0..self.written).step_by(AT_ONCE) {
-            let records = &mut records[..(self.written - first).min(AT_ONCE as u64) as usize];
+        for first in part.clone().step_by(AT_ONCE) {
+            let records = &mut records[..(part.end - first).min(AT_ONCE as u64) as usize];
             self.file.read_exact_at(bytemuck::cast_slice_mut(records), first * SAMPLE_BYTES as u64)?;
             for sample in records {
                 let near = vertices.get(sample.near as usize).copied().unwrap_or(NONE);
@@ -218,7 +245,7 @@ fn sort_groups(samples: &mut [SurfaceSample], first: &[u32]) {
         tasks.push((task, *begin, groups.1));
         rest = left;
     }
-    tasks.into_par_iter().for_each(|(mut rest, mut begin, ends)| {
+    tasks.into_par_iter().with_max_len(1).for_each(|(mut rest, mut begin, ends)| {
         for end in ends {
             let (group, left) = rest.split_at_mut((end - begin) as usize);
             group.sort_unstable_by_key(SurfaceSample::key);

@@ -1,6 +1,7 @@
 //! Meshes drawn on plates: in memory, or streamed past.
 
 use super::plate::{Paint, Plate};
+use crate::cores::InPieces;
 use crate::error::Result;
 use crate::mesh::{Coordinate, Frame, IndexedMesh};
 use crate::read::{Crew, Layout, Scan};
@@ -167,7 +168,7 @@ pub fn draw_mesh<S: Coordinate>(
 ) {
     let Some(first) = plates.first() else { return };
     let seen = |v: u32| first.camera().view(frame.place_back(mesh.at(v)));
-    mesh.faces.par_iter().with_min_len(4096).for_each(|face| {
+    mesh.faces.par_iter().in_pieces(4096).for_each(|face| {
         let corners = face.map(seen);
         match colour {
             Some(colour) => expose(plates, corners, Paint::Corners(&face.map(colour))),

@@ -3,6 +3,7 @@
 
 use super::ground::{Ground, nearest_to_origin};
 use super::samples::{Evidence, Samples};
+use crate::cores::InPieces;
 use crate::mesh::adjacency::{after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Wedges, step};
 use glam::Vec3;
@@ -43,11 +44,10 @@ pub(super) fn flip<S: Coordinate>(
     wanted: Wanted,
 ) -> Vec<(u32, [u32; 3])> {
     let faces = ground.mesh.faces.len();
-    let turned: Vec<bool> =
-        (0..faces as u32).into_par_iter().with_min_len(1024).map(|f| ground.has_turned(f)).collect();
+    let turned: Vec<bool> = (0..faces as u32).into_par_iter().in_pieces(1024).map(|f| ground.has_turned(f)).collect();
     let mut flips: Vec<Flip> = (0..faces as u32)
         .into_par_iter()
-        .with_min_len(256)
+        .in_pieces(256)
         .flat_map_iter(|f| {
             let turned = &turned;
             (0..3).filter_map(move |side| candidate(ground, evidence, samples, turned, wanted, [f, side]))

@@ -28,6 +28,7 @@ mod system;
 mod turned;
 
 use crate::Result;
+use crate::cores::InPieces;
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::samples::SAMPLE_BYTES;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, Wedges, narrow, step, widen};
@@ -180,7 +181,7 @@ fn flip<S: Coordinate>(
 fn irregular<S: Coordinate>(mesh: &IndexedMesh<S>, stars: &Stars) -> Vec<bool> {
     (0..mesh.positions.len() as u32)
         .into_par_iter()
-        .with_min_len(1024)
+        .in_pieces(1024)
         .map_init(Vec::new, |sides, v| {
             sides.clear();
             for &corner in stars.of(v) {
@@ -214,7 +215,7 @@ fn blocks<S: Coordinate>(
         }
         block
     };
-    (0..ground.mesh.faces.len()).into_par_iter().with_min_len(64).map(block).collect()
+    (0..ground.mesh.faces.len()).into_par_iter().in_pieces(64).map(block).collect()
 }
 
 /// What its samples ask of one face, eight of them at a time.
@@ -258,7 +259,7 @@ fn take<S: Coordinate>(mesh: &mut IndexedMesh<S>, stars: &Stars, mut steps: Vec<
             };
             along < LEAST_COSINE * lengths || (along < STEADY * lengths && over())
         };
-        let faces = (0..mesh.faces.len() as u32).into_par_iter().with_min_len(1024);
+        let faces = (0..mesh.faces.len() as u32).into_par_iter().in_pieces(1024);
         let mut vertices: Vec<u32> = faces.filter(|&f| turned(f)).flat_map_iter(|f| mesh.faces[f as usize]).collect();
         if vertices.is_empty() {
             break;

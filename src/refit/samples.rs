@@ -3,6 +3,8 @@
 use super::NONE;
 use super::around::Around;
 use super::ground::{Ground, Place};
+use crate::cores::InPieces;
+use crate::mesh::groups::{self, Groups};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, step, widen};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -115,56 +117,37 @@ impl<S: Coordinate> Point<S> {
 /// For every sample the face that it is nearest to, and for every face its samples. 8 bytes a sample, 4 a face.
 #[derive(Default)]
 pub(super) struct Samples {
-    /// By sample; [`NONE`] where all around looks the
-    /// other way or has vanished.
+    /// By sample; [`NONE`] where all around looks the other way or has vanished.
     faces: Vec<u32>,
-    /// `order[first[f]..first[f + 1]]` are the samples of face `f`.
-    first: Vec<u32>,
-    order: Vec<u32>,
+    /// By face, in order.
+    of_faces: Groups,
 }
 
 impl Samples {
     /// Looks up every sample's nearest face: from where its vertex has gone at first, then from the face it had.
     pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, evidence: &impl Evidence<S>) {
-        let at_first = self.faces.is_empty();
-        self.faces.resize(evidence.count(), NONE);
-        let samples = self.faces.par_iter_mut().enumerate().with_min_len(4096);
-        samples.for_each_init(Around::new, |around, (k, face)| {
-            let point = evidence.point(k as u32);
-            *face = if at_first {
-                evidence.near(k as u32).and_then(|v| around.near(ground, point.at, point.normal, v)).unwrap_or(NONE)
-            } else {
-                let near = |face| ground.near_face(point.at, point.normal, face).map_or(NONE, |place| place.face);
-                if *face == NONE { NONE } else { near(*face) }
+        if self.faces.is_empty() {
+            let first = |around: &mut Around, k: u32| {
+                let point = evidence.point(k);
+                evidence.near(k).and_then(|v| around.near(ground, point.at, point.normal, v)).unwrap_or(NONE)
             };
-        });
-        self.sort(ground.mesh.faces.len());
-    }
-
-    fn sort(&mut self, faces: usize) {
-        self.first.clear();
-        self.first.resize(faces + 1, 0);
-        let assigned = || self.faces.iter().enumerate().filter(|(_, f)| **f != NONE);
-        for (_, &f) in assigned() {
-            self.first[f as usize] += 1;
+            let samples = (0..evidence.count() as u32).into_par_iter().in_pieces(4096);
+            samples.map_init(Around::new, first).collect_into_vec(&mut self.faces);
+        } else {
+            self.faces.par_iter_mut().enumerate().in_pieces(4096).filter(|(_, face)| **face != NONE).for_each(
+                |(k, face)| {
+                    let point = evidence.point(k as u32);
+                    *face = ground.near_face(point.at, point.normal, *face).map_or(NONE, |place| place.face);
+                },
+            );
         }
-        let mut end = 0;
-        for first in &mut self.first {
-            end += *first;
-            *first = end;
-        }
-        self.order.clear();
-        self.order.resize(end as usize, 0);
-        // From the last sample to the first, so that the ends become the beginnings.
-        for (k, &f) in assigned().rev() {
-            self.first[f as usize] -= 1;
-            self.order[self.first[f as usize] as usize] = k as u32;
-        }
+        let faces = &self.faces;
+        self.of_faces.rebuild(ground.mesh.faces.len(), groups::ranges(), || faces.iter().copied().zip(0..));
     }
 
     /// The samples that are nearest to a face.
     #[inline(always)]
     pub fn of(&self, face: usize) -> &[u32] {
-        &self.order[self.first[face] as usize..self.first[face + 1] as usize]
+        self.of_faces.of(face)
     }
 }

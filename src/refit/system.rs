@@ -6,6 +6,7 @@
 //! sides, whatever their number; the system is applied face by face and never written out.
 
 use super::lanes::{Vec3x8, sum};
+use crate::cores::InPieces;
 use crate::mesh::adjacency::{Stars, parts};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -154,7 +155,7 @@ impl System<'_> {
     }
 
     fn vertices<T: Send>(&self, each: impl Fn(u32) -> T + Sync + Send) -> Vec<T> {
-        (0..self.fixed.len() as u32).into_par_iter().with_min_len(1024).map(each).collect()
+        (0..self.fixed.len() as u32).into_par_iter().in_pieces(1024).map(each).collect()
     }
 }
 

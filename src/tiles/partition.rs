@@ -6,6 +6,7 @@
 
 use super::grid::{Blocks, Lie, numbered, numbers};
 use super::store::{Run, Store, Writer, records};
+use crate::cores::InPieces;
 use crate::error::Result;
 use crate::facets::{Facet, Sink};
 use crate::mesh::{BATCH, Coordinate, IndexedMesh, PositionTable, widen};
@@ -236,7 +237,7 @@ pub(crate) fn welded<S: Coordinate>(soup: Vec<[[S; 3]; 3]>, blocks: &Blocks) -> 
 /// The order of faces: by the place of their first corner along a Morton curve, then by all that they are.
 fn in_order<S: Coordinate>(soup: &[[[S; 3]; 3]], blocks: &Blocks) -> Vec<(u64, u32)> {
     let key = |(i, face): (usize, &[[S; 3]; 3])| (blocks.along_curve(widen(face[0])), i as u32);
-    let mut order: Vec<(u64, u32)> = soup.par_iter().enumerate().with_min_len(4096).map(key).collect();
+    let mut order: Vec<(u64, u32)> = soup.par_iter().enumerate().in_pieces(4096).map(key).collect();
     let by_place = |a: &(u64, u32), b: &(u64, u32)| {
         a.0.cmp(&b.0).then_with(|| by_corners(&soup[a.1 as usize], &soup[b.1 as usize])).then(a.1.cmp(&b.1))
     };

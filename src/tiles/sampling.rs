@@ -3,6 +3,7 @@
 use super::grid::{Blocks, Lie};
 use super::partition::Tile;
 use super::store::{Run, Store, Tiles, records};
+use crate::cores::InPieces;
 use crate::error::Result;
 use crate::mesh::samples::{Lattice, SAMPLE_BYTES, SurfaceSample};
 use crate::mesh::{Coordinate, IndexedMesh, mix, step, widen};
@@ -54,7 +55,7 @@ pub fn draw<S: Coordinate>(mesh: &IndexedMesh<S>, lattice: &Lattice, rate: f64) 
             Some(SurfaceSample::new(lattice, position, normal, face[near]))
         })
     };
-    mesh.faces.par_iter().with_min_len(1024).flat_map_iter(of_face).flatten_iter().collect()
+    mesh.faces.par_iter().in_pieces(1024).flat_map_iter(of_face).flatten_iter().collect()
 }
 
 /// In `0..1`, from 24 bits.
