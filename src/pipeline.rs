@@ -178,10 +178,12 @@ impl Run<'_> {
         self.check(asked, faces, mesh.faces.len())?;
         seconds.collapse += clock.lap();
         let most = self.purse.samples_at_once(mesh.faces.len() as u64);
-        let samples = samples.map(|file| file.load(most, &homes)).transpose()?;
+        let file = samples;
+        let samples = file.as_ref().map(|file| file.load(most, &homes)).transpose()?;
         let aim = Aim { reference: reference.as_ref(), samples: samples.as_ref() };
         let held = Held { locked: &locked, wedges: &mut wedges };
-        refit(&mut mesh, &aim, self.job.refit_rounds, held, self.progress)?;
+        // The system takes a while to give up a large file.
+        rayon::join(|| refit(&mut mesh, &aim, self.job.refit_rounds, held, self.progress), || drop(file)).0?;
         drop(samples);
         seconds.refit += clock.lap();
 

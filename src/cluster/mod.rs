@@ -51,6 +51,7 @@ mod survivors;
 mod table;
 mod used;
 
+use crate::cores::InPieces;
 use crate::error::{Error, Result};
 use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
 use crate::quadric::PackedQuadric;
@@ -60,10 +61,12 @@ use border::{BorderWorker, Borders};
 use corners::{Corners, Feed};
 use faces::FaceWorker;
 use grid::{Grid, Place};
+use rayon::prelude::*;
 use represent::Evidence;
 use sampling::{SampleWorker, Sampler};
 use sizing::Sizing;
 use spill::Spill;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use sums::{Sums, Totals};
 use survivors::Survivors;
 use table::CellTable;
@@ -400,9 +403,10 @@ impl Run<'_> {
             corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &Used::nothing(), worker)?;
             borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
-        let ((), cells) = rayon::join(|| drop(spill), || compact(&mut triples, ranks));
+        drop(spill);
         self.stats.scratch_bytes = self.scratch.bytes();
         table.keep_keys();
+        let cells = compact(&mut triples, ranks);
         let evidence = Evidence {
             representative: self.options.representative,
             grid: &grid,
@@ -435,25 +439,26 @@ fn quantum(mean_area: f64) -> f64 {
 /// Drops cells that no triple uses and renumbers the rest without gaps. Returns the number each had in the table.
 fn compact(triples: &mut [[u32; 3]], ranks: Vec<u32>) -> Vec<u32> {
     const UNUSED: u32 = u32::MAX;
-    let mut numbers = vec![UNUSED; ranks.len()];
-    for rank in triples.as_flattened() {
-        numbers[*rank as usize] = 0;
-    }
+    let numbers: Vec<AtomicU32> = ranks.par_iter().in_pieces(4096).map(|_| AtomicU32::new(UNUSED)).collect();
+    let number = |rank: u32| &numbers[rank as usize];
+    triples
+        .par_iter()
+        .in_pieces(4096)
+        .for_each(|triple| triple.iter().for_each(|rank| number(*rank).store(0, Relaxed)));
     let mut next = 0;
-    for number in numbers.iter_mut().filter(|n| **n != UNUSED) {
-        *number = next;
+    for number in numbers.iter().filter(|number| number.load(Relaxed) != UNUSED) {
+        number.store(next, Relaxed);
         next += 1;
     }
-    for rank in triples.as_flattened_mut() {
-        *rank = numbers[*rank as usize];
-    }
-    let mut cells = vec![0; next as usize];
-    for (cell, rank) in ranks.into_iter().enumerate() {
-        if let Some(place) = cells.get_mut(numbers[rank as usize] as usize) {
-            *place = cell as u32;
+    let cells: Vec<AtomicU32> = bytemuck::zeroed_vec(next as usize);
+    let renumber = |triple: &mut [u32; 3]| *triple = triple.map(|rank| number(rank).load(Relaxed));
+    triples.par_iter_mut().in_pieces(4096).for_each(renumber);
+    ranks.into_par_iter().enumerate().in_pieces(4096).for_each(|(cell, rank)| {
+        if let Some(place) = cells.get(number(rank).load(Relaxed) as usize) {
+            place.store(cell as u32, Relaxed);
         }
-    }
-    cells
+    });
+    cells.into_iter().map(AtomicU32::into_inner).collect()
 }
 
 #[cfg(test)]

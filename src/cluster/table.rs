@@ -53,13 +53,14 @@ impl CellTable {
         Self::block_capacity(cells) * SLOTS_PER_4_BLOCKS / 4
     }
 
-    /// A table with room for `cells` cells. Pages are touched as they fill.
+    /// A table with room for `cells` cells. All of it is written at once: a page that is looked at before it is written is
+    /// mapped twice, the second time with all other threads at a halt.
     pub(super) fn new(cells: usize) -> Self {
         let cells = cells.min(MAX_CELLS);
         let slots = Self::slots(cells);
         CellTable {
-            blocks: bytemuck::zeroed_vec(slots),
-            numbers: bytemuck::zeroed_vec(slots * 64),
+            blocks: (0..slots).into_par_iter().in_pieces(4096).map(|_| AtomicU64::new(0)).collect(),
+            numbers: (0..slots * 64).into_par_iter().in_pieces(4096).map(|_| AtomicU32::new(0)).collect(),
             keys: bytemuck::zeroed_vec(cells),
             cells: AtomicU32::new(0),
             taken: AtomicU32::new(0),

@@ -1,6 +1,8 @@
 //! Which vertices faces use: a bit each, where there is room for that.
 
+use crate::cores::InPieces;
 use crate::read::{Layout, Scan};
+use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Share of the room for binned vertices that may go into counting, at most.
@@ -24,7 +26,9 @@ impl Used {
     pub(super) fn within(scan: &Scan, bytes: u64) -> Self {
         let needed = bytes_for(scan.vertex_count());
         let fits = scan.layout() == Layout::Indexed && needed <= bytes / SHARE;
-        Used(bytemuck::zeroed_vec(if fits { (needed / 8) as usize } else { 0 }))
+        // Written, since what is looked at first is mapped twice.
+        let words = if fits { (needed / 8) as usize } else { 0 };
+        Used((0..words).into_par_iter().in_pieces(4096).map(|_| AtomicU64::new(0)).collect())
     }
 
     /// Bytes that it takes.

@@ -193,14 +193,16 @@ impl SampleFile {
         drop(parts);
         // Then each thread goes through all of it for the samples of its vertices.
         let mut samples: Vec<SurfaceSample> = bytemuck::zeroed_vec(all as usize);
-        let span = count.div_ceil(threads).max(1);
         let mut rest = samples.as_mut_slice();
         let mut tasks = Vec::with_capacity(threads);
-        for begin in (0..count).step_by(span) {
-            let first = &first[begin..=(begin + span).min(count)];
+        let mut begin = 0;
+        for task in 1..=threads {
+            let share = (u64::from(all) * task as u64 / threads as u64) as u32;
+            let end = if task < threads { first.partition_point(|first| *first < share).max(begin) } else { count };
+            let first = &first[begin..=end];
             let (own, later) = rest.split_at_mut((first[first.len() - 1] - first[0]) as usize);
             tasks.push((begin as u32, first, own));
-            rest = later;
+            (rest, begin) = (later, end);
         }
         tasks.into_par_iter().with_max_len(1).try_for_each(|(begin, first, own)| {
             let mut next = first[..first.len() - 1].to_vec();
