@@ -27,6 +27,15 @@ pub(super) struct Batch<S> {
     pub spots: Vec<[S; 3]>,
 }
 
+/// What has become of a group that had vertices taken out.
+struct Shrunk<S> {
+    leader: u32,
+    /// Where it goes now, if it still does.
+    spot: Option<[S; 3]>,
+    /// What it was.
+    members: Vec<u32>,
+}
+
 impl<S: Coordinate> Batch<S> {
     /// No collapses.
     pub fn new() -> Self {
@@ -118,35 +127,50 @@ impl<S: Coordinate> Batch<S> {
     /// Takes vertices out of their groups until no face folds over that has as many moving corners as `least_moving` or more.
     pub fn take_back_folds(&mut self, surface: &Surface<S>, least_moving: usize) {
         let faces = surface.faces.len() as u32;
-        let in_order = |mut back: Vec<u32>| {
-            back.sort_unstable();
-            back.dedup();
-            back
+        let folded = |this: &Self, f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
+        let mut back = {
+            let this = &*self;
+            (0..faces).into_par_iter().in_pieces(4096).filter_map(|f| folded(this, f)).collect::<Vec<_>>()
         };
-        let this = &*self;
-        let folded = |f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
-        let mut back = in_order((0..faces).into_par_iter().in_pieces(4096).filter_map(folded).collect());
-        let mut members = Vec::new();
         while !back.is_empty() {
+            let this = &*self;
+            let mut back_of: Vec<(u32, u32)> = back.into_par_iter().map(|v| (this.leader(v), v)).collect();
+            back_of.par_sort_unstable();
+            back_of.dedup();
+            let groups: Vec<&[(u32, u32)]> = back_of.chunk_by(|a, b| a.0 == b.0).collect();
+            let shrink = |group: &&[(u32, u32)]| this.shrink(surface, group);
+            let shrunk: Vec<Shrunk<S>> = groups.par_iter().in_pieces(64).map(shrink).collect();
             let mut around = Vec::new();
-            for v in back {
-                let leader = self.leader(v);
-                if leader == NONE {
-                    continue;
+            for Shrunk { leader, spot, members } in shrunk {
+                if let Some(spot) = spot {
+                    self.spots[leader as usize] = spot;
                 }
-                self.part(v, &mut members);
                 around.extend(members.iter().flat_map(|&v| surface.stars.of(v)).map(|c| c >> 2));
-                if members.len() > 2 && v != leader {
-                    self.members(leader, &mut members);
-                    self.spots[leader as usize] = self.place(surface, &members);
-                }
             }
             // Only faces at a group that has changed can have changed.
-            let around = in_order(around);
+            around.par_sort_unstable();
+            around.dedup();
             let this = &*self;
-            let folded = |f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
-            back = in_order(around.into_par_iter().filter_map(folded).collect());
+            back = around.into_par_iter().in_pieces(256).filter_map(|f| folded(this, f)).collect();
         }
+    }
+
+    /// Takes vertices, in order, out of the group that they are all in.
+    fn shrink(&self, surface: &Surface<S>, back: &[(u32, u32)]) -> Shrunk<S> {
+        let leader = back[0].0;
+        let (mut members, mut left) = (Vec::new(), Vec::new());
+        self.members(leader, &mut members);
+        for &(_, v) in back {
+            // Unless the others have gone already.
+            if self.moves(v) {
+                self.part(v, &mut left);
+            }
+        }
+        let spot = self.moves(leader).then(|| {
+            self.members(leader, &mut left);
+            self.place(surface, &left)
+        });
+        Shrunk { leader, spot, members }
     }
 
     /// Where the merged vertex of a group belongs for what its members have learnt.

@@ -161,11 +161,15 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
             })
         },
         || {
-            keep(learnt, numbers);
-            keep(current, numbers);
-            keep(positions, numbers);
-            keep(&mut pieces.of, numbers);
-            keep_marks(marks, numbers);
+            rayon::join(
+                || keep(learnt, numbers),
+                || {
+                    keep(current, numbers);
+                    keep(positions, numbers);
+                    keep(&mut pieces.of, numbers);
+                    keep_marks(marks, numbers);
+                },
+            )
         },
     );
 }

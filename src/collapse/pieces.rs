@@ -21,6 +21,9 @@ const PROBES: usize = 8;
 /// A piece of at most so many faces is left alone by rounds of groups, which could take it whole.
 const SMALL: u32 = 64;
 
+/// Faces whose areas are held at a time.
+const FACES_AT_ONCE: usize = 1 << 16;
+
 /// Which piece each vertex is in, and the pieces. 4 bytes a vertex where there is more than one.
 #[derive(Debug, Default)]
 pub(super) struct Pieces {
@@ -54,9 +57,7 @@ impl Pieces {
                 list.push(Piece { faces: 0, last: 4, stake: 0.0 });
             }
         }
-        for root in &mut of {
-            *root = numbers[*root as usize];
-        }
+        of.par_iter_mut().in_pieces(4096).for_each(|root| *root = numbers[*root as usize]);
         let mut pieces = Pieces { of, list };
         pieces.count(&mesh.faces);
         for v in 0..mesh.positions.len() as u32 {
@@ -74,9 +75,18 @@ impl Pieces {
         if self.of.is_empty() {
             return;
         }
-        self.list.iter_mut().for_each(|piece| piece.faces = 0);
-        for face in faces {
-            self.list[self.of[face[0] as usize] as usize].faces += 1;
+        // A part of the faces a thread, as long as its counts are less work than they.
+        let Pieces { of, list } = self;
+        let part = (faces.len() / rayon::current_num_threads()).max(list.len()).max(1);
+        let count = |faces: &[[u32; 3]]| {
+            let mut counts = vec![0u32; list.len()];
+            faces.iter().for_each(|face| counts[of[face[0] as usize] as usize] += 1);
+            counts
+        };
+        let counts: Vec<Vec<u32>> = faces.par_chunks(part).map(count).collect();
+        list.iter_mut().for_each(|piece| piece.faces = 0);
+        for counts in counts {
+            list.iter_mut().zip(counts).for_each(|(piece, count)| piece.faces += count);
         }
     }
 
@@ -117,14 +127,21 @@ impl Pieces {
     /// The stake of every piece but the largest.
     fn set_stakes<S: Coordinate>(&mut self, mesh: &IndexedMesh<S>) {
         let mut areas = vec![0.0f64; self.list.len()];
-        for face in &mesh.faces {
+        let area = |face: &[u32; 3]| {
             let [a, b, c] = face.map(|v| mesh.at(v));
-            areas[self.of[face[0] as usize] as usize] += 0.5 * (b - a).cross(c - a).length();
+            0.5 * (b - a).cross(c - a).length()
+        };
+        let mut of_faces = Vec::new();
+        for faces in mesh.faces.chunks(FACES_AT_ONCE) {
+            faces.par_iter().in_pieces(1024).map(area).collect_into_vec(&mut of_faces);
+            for (face, area) in faces.iter().zip(&of_faces) {
+                areas[self.of[face[0] as usize] as usize] += area;
+            }
         }
         let most = self.list.iter().map(|piece| piece.faces).max();
         let largest = self.list.iter().position(|piece| Some(piece.faces) == most);
         let probes = self.probes();
-        let places = Places::of(mesh);
+        let places = Places::of(mesh, |v| self.of[v as usize] != NONE);
         let this = &*self;
         let stakes: Vec<f32> = (0..this.list.len())
             .into_par_iter()
@@ -261,7 +278,8 @@ const LEVELS: u32 = 21;
 const LEAF: usize = 8;
 
 impl Places {
-    fn of<S: Coordinate>(mesh: &IndexedMesh<S>) -> Self {
+    /// Of the vertices of a mesh that count.
+    fn of<S: Coordinate>(mesh: &IndexedMesh<S>, counts: impl Fn(u32) -> bool + Sync) -> Self {
         let mut extent = Extent::default();
         mesh.positions.iter().for_each(|p| extent.include(widen(*p)));
         let (low, side) = (extent.min, extent.size().max_element());
@@ -270,12 +288,10 @@ impl Places {
             let scaled = ((p - low) / side * cubes).clamp(DVec3::ZERO, DVec3::splat(cubes - 1.0));
             spread(scaled.x as u64) | spread(scaled.y as u64) << 1 | spread(scaled.z as u64) << 2
         };
-        let mut used = vec![false; mesh.positions.len()];
-        mesh.faces.iter().flatten().for_each(|&v| used[v as usize] = true);
-        let mut sorted: Vec<(u64, u32)> =
-            (0..mesh.positions.len() as u32).filter(|&v| used[v as usize]).map(|v| (key(mesh.at(v)), v)).collect();
+        let vertices = (0..mesh.positions.len() as u32).into_par_iter().in_pieces(4096);
+        let mut sorted: Vec<(u64, u32)> = vertices.filter(|v| counts(*v)).map(|v| (key(mesh.at(v)), v)).collect();
         sorted.par_sort_unstable();
-        let at = sorted.iter().map(|&(_, v)| mesh.at(v)).collect();
+        let at = sorted.par_iter().in_pieces(4096).map(|&(_, v)| mesh.at(v)).collect();
         Places { sorted, at, low, side }
     }
 
@@ -357,7 +373,7 @@ mod tests {
     #[test]
     fn the_nearest_vertex_that_counts_is_found() {
         let mesh = dust(300, 0.01);
-        let places = Places::of(&mesh);
+        let places = Places::of(&mesh, |_| true);
         for v in (0..1200).step_by(7) {
             let counts = |u: u32| u / 4 != v / 4 && !u.is_multiple_of(3);
             let all = (0..1200).filter(|&u| counts(u)).map(|u| mesh.at(u).distance_squared(mesh.at(v)));

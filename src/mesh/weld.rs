@@ -1,7 +1,10 @@
 //! Making one vertex of coincident ones.
 
 use super::{Coordinate, IndexedMesh};
+use crate::cores::InPieces;
 use crate::error::Result;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// What [`weld`] found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -41,30 +44,34 @@ pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>, check: impl Fn() -> Result
         }
     }
 
-    let faces = mesh.faces.len();
-    mesh.faces.retain_mut(|f| {
-        *f = f.map(|v| first[v as usize]);
-        f[0] != f[1] && f[1] != f[2] && f[2] != f[0]
-    });
-    report.repeated_corner_faces = (faces - mesh.faces.len()) as u64;
-
-    let mut renumbered = first;
-    renumbered.fill(NONE);
-    for &v in mesh.faces.iter().flatten() {
-        renumbered[v as usize] = 0;
+    if report.duplicate_vertices > 0 {
+        mesh.faces.par_iter_mut().in_pieces(4096).for_each(|face| *face = face.map(|v| first[v as usize]));
     }
+    let repeats = |[a, b, c]: &[u32; 3]| a == b || b == c || c == a;
+    report.repeated_corner_faces = mesh.faces.par_iter().in_pieces(4096).filter(|face| repeats(face)).count() as u64;
+    if report.repeated_corner_faces > 0 {
+        mesh.faces.retain(|face| !repeats(face));
+    }
+
+    drop(first);
+    let numbers: Vec<AtomicU32> = mesh.positions.par_iter().in_pieces(4096).map(|_| AtomicU32::new(NONE)).collect();
+    mesh.faces
+        .par_iter()
+        .in_pieces(4096)
+        .for_each(|face| face.iter().for_each(|v| numbers[*v as usize].store(0, Relaxed)));
     let mut kept = 0u32;
-    for (v, r) in renumbered.iter_mut().enumerate() {
-        if *r != NONE {
+    for (v, number) in numbers.iter().enumerate() {
+        if number.load(Relaxed) != NONE {
             mesh.positions[kept as usize] = mesh.positions[v];
-            *r = kept;
+            number.store(kept, Relaxed);
             kept += 1;
         }
     }
     report.unreferenced_vertices = vertices as u64 - report.duplicate_vertices - u64::from(kept);
     mesh.positions.truncate(kept as usize);
-    for v in mesh.faces.iter_mut().flatten() {
-        *v = renumbered[*v as usize];
+    let renumber = |face: &mut [u32; 3]| *face = face.map(|v| numbers[v as usize].load(Relaxed));
+    if (kept as usize) < vertices {
+        mesh.faces.par_iter_mut().in_pieces(4096).for_each(renumber);
     }
     Ok(report)
 }

@@ -8,9 +8,11 @@
 //! One worker consumes the chunks, in the order of the file: decoding is bound by memory, and the result needs no merging.
 
 use super::{Crew, Layout, Scalar, Scan};
+use crate::cores::InPieces;
 use crate::error::{Error, Result};
 use crate::mesh::{BATCH, Coordinate, Extent, Frame, IndexedMesh, PositionTable, narrow, weld, widen};
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// What a loaded scan was before it was welded.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -152,17 +154,15 @@ fn only<T>(workers: Vec<Vec<T>>) -> Vec<T> {
 
 /// The box of the vertices that faces use, which must be finite.
 fn extent_of<S: Coordinate>(scan: &Scan, mesh: &IndexedMesh<S>, referenced: &Bits) -> Result<Extent> {
-    let mut extent = Extent::default();
-    for (v, p) in mesh.positions.iter().enumerate() {
-        if !referenced.has(v) {
-            continue;
-        }
-        let p = widen(*p);
-        if !p.is_finite() {
-            return Err(not_finite(scan, mesh, v as u32, p));
-        }
-        extent.include(p);
+    let used = || mesh.positions.par_iter().enumerate().in_pieces(4096).filter(|(v, _)| referenced.has(*v));
+    if let Some((v, p)) = used().find_first(|(_, p)| !widen(**p).is_finite()) {
+        return Err(not_finite(scan, mesh, v as u32, widen(*p)));
     }
+    let include = |mut extent: Extent, (_, p): (usize, &[S; 3])| {
+        extent.include(widen(*p));
+        extent
+    };
+    let extent = used().fold(Extent::default, include).reduce(Extent::default, Extent::union);
     extent.check(scan.path())?;
     Ok(extent)
 }
@@ -182,13 +182,11 @@ fn flat_faces<S: Coordinate>(mesh: &IndexedMesh<S>) -> u64 {
         let [a, b, c] = face.map(|v| widen(mesh.positions[v as usize]));
         (b - a).cross(c - a) == DVec3::ZERO
     };
-    mesh.faces.iter().filter(is_flat).count() as u64
+    mesh.faces.par_iter().in_pieces(4096).filter(is_flat).count() as u64
 }
 
 fn scale<S: Coordinate>(mesh: &mut IndexedMesh<S>, frame: Frame) {
-    for p in &mut mesh.positions {
-        *p = narrow(frame.place(widen(*p)));
-    }
+    mesh.positions.par_iter_mut().in_pieces(4096).for_each(|p| *p = narrow(frame.place(widen(*p))));
 }
 
 /// Drops the vertices that are not referenced, keeping the order of the others; returns how many.
@@ -202,9 +200,8 @@ fn drop_unreferenced<S: Coordinate>(mesh: &mut IndexedMesh<S>, referenced: &Bits
             v += 1;
             referenced.has(v - 1)
         });
-        for corner in mesh.faces.as_flattened_mut() {
-            *corner = referenced.rank(&ranks, *corner as usize);
-        }
+        let renumber = |face: &mut [u32; 3]| *face = face.map(|v| referenced.rank(&ranks, v as usize));
+        mesh.faces.par_iter_mut().in_pieces(4096).for_each(renumber);
     }
     dropped as u64
 }
@@ -214,11 +211,21 @@ struct Bits(Vec<u64>);
 
 impl Bits {
     fn of_corners<S>(mesh: &IndexedMesh<S>) -> Self {
-        let mut bits = vec![0u64; mesh.positions.len().div_ceil(64)];
-        for &v in mesh.faces.as_flattened() {
-            bits[v as usize / 64] |= 1 << (v % 64);
-        }
-        Bits(bits)
+        let words = mesh.positions.len().div_ceil(64);
+        let of = |faces: &[[u32; 3]]| {
+            let mut bits = vec![0u64; words];
+            for &v in faces.as_flattened() {
+                bits[v as usize / 64] |= 1 << (v % 64);
+            }
+            bits
+        };
+        let both = |mut bits: Vec<u64>, others: Vec<u64>| {
+            bits.iter_mut().zip(others).for_each(|(word, other)| *word |= other);
+            bits
+        };
+        // A part of the faces a thread, as long as its bits are less work than they.
+        let part = (mesh.faces.len() / rayon::current_num_threads()).max(words).max(1);
+        Bits(mesh.faces.par_chunks(part).map(of).reduce(|| vec![0; words], both))
     }
 
     fn has(&self, v: usize) -> bool {
