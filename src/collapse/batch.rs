@@ -140,14 +140,16 @@ impl<S: Coordinate> Batch<S> {
             let groups: Vec<&[(u32, u32)]> = back_of.chunk_by(|a, b| a.0 == b.0).collect();
             let shrink = |group: &&[(u32, u32)]| this.shrink(surface, group);
             let shrunk: Vec<Shrunk<S>> = groups.par_iter().in_pieces(64).map(shrink).collect();
-            let mut around = Vec::new();
-            for Shrunk { leader, spot, members } in shrunk {
+            // Only faces at a group that has changed can have changed.
+            let faces = |group: &Shrunk<S>| {
+                group.members.iter().flat_map(|&v| surface.stars.of(v)).map(|c| c >> 2).collect::<Vec<_>>()
+            };
+            let mut around: Vec<u32> = shrunk.par_iter().in_pieces(64).flat_map_iter(faces).collect();
+            for Shrunk { leader, spot, .. } in shrunk {
                 if let Some(spot) = spot {
                     self.spots[leader as usize] = spot;
                 }
-                around.extend(members.iter().flat_map(|&v| surface.stars.of(v)).map(|c| c >> 2));
             }
-            // Only faces at a group that has changed can have changed.
             around.par_sort_unstable();
             around.dedup();
             let this = &*self;

@@ -142,57 +142,48 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
         },
     );
     let numbers = &*numbers;
-    let mut lives = faces.iter().map(|face| face[0] != NONE);
-    wedges.corners.retain(|_| lives.next() == Some(true));
+    let lives = |f: usize| faces[f][0] != NONE;
+    keep(costs, |f, _| lives(f));
+    keep(&mut wedges.corners, |f, _| lives(f));
     // Those of wedges stay where they are.
     if wedges.is_empty() {
         shades.keep(numbers.len(), |i| Some(numbers[i].load(Relaxed)).filter(|new| *new != NONE));
     }
-    rayon::join(
-        || {
-            let mut lives = faces.iter().map(|face| face[0] != NONE);
-            costs.retain(|_| lives.next() == Some(true));
-            faces.retain_mut(|face| {
-                let lives = face[0] != NONE;
-                if lives {
-                    *face = face.map(|v| numbers[v as usize].load(Relaxed));
-                }
-                lives
-            })
-        },
-        || {
-            rayon::join(
-                || keep(learnt, numbers),
-                || {
-                    keep(current, numbers);
-                    keep(positions, numbers);
-                    keep(&mut pieces.of, numbers);
-                    keep_marks(marks, numbers);
-                },
-            )
-        },
-    );
-}
-
-/// Moves the kept elements to their new places, which are never behind their old ones.
-fn keep<T: Copy>(items: &mut Vec<T>, numbers: &[AtomicU32]) {
-    let mut kept = 0;
-    if items.is_empty() {
-        return;
-    }
-    for (old, new) in numbers.iter().enumerate() {
-        if new.load(Relaxed) != NONE {
-            items[kept] = items[old];
-            kept += 1;
+    let stays = |v: usize| numbers[v].load(Relaxed) != NONE;
+    keep(learnt, |v, _| stays(v));
+    keep(current, |v, _| stays(v));
+    keep(positions, |v, _| stays(v));
+    keep(&mut pieces.of, |v, _| stays(v));
+    let kept: Vec<AtomicU8> = bytemuck::zeroed_vec(next as usize);
+    marks.par_iter().zip(numbers).in_pieces(4096).for_each(|(mark, number)| {
+        if let Some(place) = kept.get(number.load(Relaxed) as usize) {
+            place.store(mark.load(Relaxed), Relaxed);
         }
-    }
-    items.truncate(kept);
+    });
+    *marks = kept;
+    faces.par_iter_mut().in_pieces(4096).filter(|face| face[0] != NONE).for_each(|face| {
+        *face = face.map(|v| numbers[v as usize].load(Relaxed));
+    });
+    keep(faces, |_, face| face[0] != NONE);
 }
 
-fn keep_marks(marks: &mut Vec<AtomicU8>, numbers: &[AtomicU32]) {
-    let mut old = 0;
-    marks.retain(|_| {
-        old += 1;
-        numbers[old - 1].load(Relaxed) != NONE
-    });
+/// Keeps the items that stay, in their order: threads move those of each part to its beginning, then parts move up.
+fn keep<T: Copy + Send>(items: &mut Vec<T>, stays: impl Fn(usize, &T) -> bool + Sync) {
+    let gather = |(part, items): (usize, &mut [T])| {
+        let mut kept = 0;
+        for i in 0..items.len() {
+            if stays(part * PART + i, &items[i]) {
+                items[kept] = items[i];
+                kept += 1;
+            }
+        }
+        kept
+    };
+    let gathered: Vec<usize> = items.par_chunks_mut(PART).enumerate().map(gather).collect();
+    let mut end = 0;
+    for (part, kept) in gathered.into_iter().enumerate() {
+        items.copy_within(part * PART..part * PART + kept, end);
+        end += kept;
+    }
+    items.truncate(end);
 }
