@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering::Relaxed;
 pub(super) fn classify<S: Coordinate>(surface: &Surface<S>) -> Irregularities {
     (0..surface.positions.len() as u32)
         .into_par_iter()
-        .in_pieces(1024)
+        .in_pieces(256)
         .map_init(Vec::new, |ends, v| {
             ends.clear();
             ends.extend(surface.stars.of(v).iter().map(|&c| surface.ends(c)));

@@ -14,7 +14,7 @@ use wide::f64x2;
 const LANES: usize = 2;
 
 /// Faces whose edges are evaluated by one task.
-const FACES: usize = 1 << 10;
+const FACES: usize = 1 << 8;
 
 /// An edge with a face on either side.
 #[derive(Clone, Copy, Default)]

@@ -43,7 +43,7 @@ fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, locks: bool
         *best.get_mut() = end;
         f32::from_bits(least)
     };
-    batch.next.par_iter_mut().enumerate().in_pieces(1024).map(look).collect_into_vec(&mut costs);
+    batch.next.par_iter_mut().enumerate().in_pieces(256).map(look).collect_into_vec(&mut costs);
     costs
 }
 
@@ -120,7 +120,7 @@ fn follow<S: Coordinate>(batch: &mut Batch<S>, costs: &[f32], limit: f32, longes
 fn settle<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) {
     let mut spots = std::mem::take(&mut batch.spots);
     let this = &*batch;
-    spots.par_iter_mut().enumerate().in_pieces(1024).for_each_init(Vec::new, |members, (v, spot)| {
+    spots.par_iter_mut().enumerate().in_pieces(256).for_each_init(Vec::new, |members, (v, spot)| {
         if this.leader(v as u32) == v as u32 {
             this.members(v as u32, members);
             *spot = this.place(surface, members);

@@ -442,7 +442,9 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
         if near {
             if surface.costs.is_empty() {
                 self.batch = Batch::new();
-                surface.give_back();
+                if surface.is_large() {
+                    surface.give_back();
+                }
             }
             self.pair(surface, most, self.options.part.map_or(f32::INFINITY, |part| part.most_cost));
         } else {

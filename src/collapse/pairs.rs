@@ -59,7 +59,7 @@ fn prefer<S: Coordinate>(
 ) {
     let leaders = &batch.leaders;
     let free = |v: u32| is_free(leaders, v);
-    batch.next.par_iter_mut().enumerate().in_pieces(1024).for_each(|(v, best)| {
+    batch.next.par_iter_mut().enumerate().in_pieces(256).for_each(|(v, best)| {
         let (v, best) = (v as u32, best.get_mut());
         if *best == NONE || !free(v) || *best != ASK && free(*best) {
             return;
@@ -78,7 +78,7 @@ fn take<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, options: &Opt
         .spots
         .par_iter_mut()
         .enumerate()
-        .in_pieces(1024)
+        .in_pieces(256)
         .fold(
             || (0, Vec::new()),
             |(taken, mut refused), (v, spot)| {

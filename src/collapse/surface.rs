@@ -21,6 +21,10 @@ pub(super) const LANES: usize = 4;
 /// Where no more than one face in so many is left, those that have gone have made room for the roots of all.
 const ROOTS_FROM: usize = 2;
 
+/// Where no more than one face in so many is left, costs and current quadrics add less than 6 bytes to the 75 to 80 that
+/// each face had at first: to give back what has gone would take 2 % of the collapse of 2 M faces to a hundredth.
+const SMALL: usize = 8;
+
 /// Arrays of one mesh: 24 bytes a face (faces, costs), 12 more for the stars; 70 a vertex, 24 more once the current
 /// quadrics are kept (82 and 48 in doubles). Roots are 12 a face (24), once half of the faces have gone.
 pub(super) struct Surface<S> {
@@ -293,13 +297,13 @@ impl<S: Coordinate> Surface<S> {
         if options.policies.weighting != Weighting::Area || options.policies.features.is_some() || self.holds_seams() {
             let this = &*self;
             let form = |v: u32| this.form_around(&this.stars, v, options).pack();
-            self.learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(1024).map(form).collect();
+            self.learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(256).map(form).collect();
             return;
         }
         let mut roots = Vec::new();
         self.find_roots::<f32>(&mut roots);
         let this = &*self;
-        let learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(1024).map(|v| {
+        let learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(256).map(|v| {
             let mut q = if this.odd(v) { this.borders_at(&this.stars, v, options) } else { Quadric::default() };
             for &corner in this.stars.of(v) {
                 q += squared(roots[parts(corner).0].map(f64::from));
@@ -343,6 +347,11 @@ impl<S: Coordinate> Surface<S> {
             })
         };
         folds_at(a, b) || folds_at(b, a)
+    }
+
+    /// Whether so many faces are left that costs and current quadrics take much beside what was there at first.
+    pub fn is_large(&self) -> bool {
+        SMALL * self.faces.len() > self.faces_at_first
     }
 
     /// Gives back the memory of what has gone, before costs and current quadrics need theirs. Of large arrays nothing is
@@ -400,7 +409,7 @@ impl<S: Coordinate> Surface<S> {
             let length = normal.length();
             narrow(if length > 0.0 { normal * (0.5 / length).sqrt() } else { DVec3::ZERO })
         };
-        (0..self.faces.len()).into_par_iter().in_pieces(1024).map(root).collect_into_vec(roots);
+        (0..self.faces.len()).into_par_iter().in_pieces(256).map(root).collect_into_vec(roots);
     }
 
     /// The area-weighted plane of a face, as its root says if that is known.
@@ -428,7 +437,7 @@ impl<S: Coordinate> Surface<S> {
         let all = current.is_empty();
         current.resize(self.positions.len(), [S::narrow(0.0); 6]);
         let this = &*self;
-        current.par_iter_mut().enumerate().in_pieces(1024).for_each(|(v, form)| {
+        current.par_iter_mut().enumerate().in_pieces(256).for_each(|(v, form)| {
             let v = v as u32;
             if all || this.mark(v) & TOUCHED != 0 {
                 *form = this.form_around(&this.stars, v, options).a.map(S::narrow);

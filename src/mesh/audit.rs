@@ -146,19 +146,15 @@ pub fn is_regular(ends: &[(u32, u32)]) -> bool {
     }
     let mut fan = 1;
     while u != start {
-        let mut next = None;
-        for e in ends {
-            if e.0 == u {
-                if next.is_some() {
-                    return false;
-                }
-                next = Some(e.1);
-            }
+        // Which of them goes on is as good as random: without a branch.
+        let (mut after, mut found) = (u, 0);
+        for &(from, to) in ends {
+            after = if from == u { to } else { after };
+            found += u32::from(from == u);
         }
-        let Some(after) = next else { return false };
         u = after;
         fan += 1;
-        if fan > ends.len() {
+        if found != 1 || fan > ends.len() {
             return false;
         }
     }

@@ -44,7 +44,7 @@ pub(super) fn flip<S: Coordinate>(
     wanted: Wanted,
 ) -> Vec<(u32, [u32; 3])> {
     let faces = ground.mesh.faces.len();
-    let turned: Vec<bool> = (0..faces as u32).into_par_iter().in_pieces(1024).map(|f| ground.has_turned(f)).collect();
+    let turned: Vec<bool> = (0..faces as u32).into_par_iter().in_pieces(256).map(|f| ground.has_turned(f)).collect();
     let mut flips: Vec<Flip> = (0..faces as u32)
         .into_par_iter()
         .in_pieces(256)

@@ -181,7 +181,7 @@ fn flip<S: Coordinate>(
 fn irregular<S: Coordinate>(mesh: &IndexedMesh<S>, stars: &Stars) -> Vec<bool> {
     (0..mesh.positions.len() as u32)
         .into_par_iter()
-        .in_pieces(1024)
+        .in_pieces(256)
         .map_init(Vec::new, |sides, v| {
             sides.clear();
             for &corner in stars.of(v) {
@@ -259,7 +259,7 @@ fn take<S: Coordinate>(mesh: &mut IndexedMesh<S>, stars: &Stars, mut steps: Vec<
             };
             along < LEAST_COSINE * lengths || (along < STEADY * lengths && over())
         };
-        let faces = (0..mesh.faces.len() as u32).into_par_iter().in_pieces(1024);
+        let faces = (0..mesh.faces.len() as u32).into_par_iter().in_pieces(256);
         let mut vertices: Vec<u32> = faces.filter(|&f| turned(f)).flat_map_iter(|f| mesh.faces[f as usize]).collect();
         if vertices.is_empty() {
             break;

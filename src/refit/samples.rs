@@ -131,10 +131,10 @@ impl Samples {
                 let point = evidence.point(k);
                 evidence.near(k).and_then(|v| around.near(ground, point.at, point.normal, v)).unwrap_or(NONE)
             };
-            let samples = (0..evidence.count() as u32).into_par_iter().in_pieces(4096);
+            let samples = (0..evidence.count() as u32).into_par_iter().in_pieces(512);
             samples.map_init(Around::new, first).collect_into_vec(&mut self.faces);
         } else {
-            self.faces.par_iter_mut().enumerate().in_pieces(4096).filter(|(_, face)| **face != NONE).for_each(
+            self.faces.par_iter_mut().enumerate().in_pieces(512).filter(|(_, face)| **face != NONE).for_each(
                 |(k, face)| {
                     let point = evidence.point(k as u32);
                     *face = ground.near_face(point.at, point.normal, *face).map_or(NONE, |place| place.face);

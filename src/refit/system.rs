@@ -155,7 +155,7 @@ impl System<'_> {
     }
 
     fn vertices<T: Send>(&self, each: impl Fn(u32) -> T + Sync + Send) -> Vec<T> {
-        (0..self.fixed.len() as u32).into_par_iter().in_pieces(1024).map(each).collect()
+        (0..self.fixed.len() as u32).into_par_iter().in_pieces(256).map(each).collect()
     }
 }
 
