@@ -6,6 +6,7 @@
 //! [`Quadric::shifted`], done in `f64`; storage is [`PackedQuadric`], 44 bytes of `f32`.
 
 use glam::{DMat3, DVec3};
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// A quadric about some origin, in the frame's units: `a` is an area, `b` area × length, `c` area × length².
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -32,6 +33,39 @@ pub struct PackedQuadric {
     pub c: f32,
     /// As [`Quadric::w`].
     pub w: f32,
+}
+
+/// What forms are made of: numbers, one or some side by side.
+pub(crate) trait Number:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+{
+}
+
+impl Number for f64 {}
+impl Number for wide::f64x2 {}
+
+/// `A x`, of `A`'s upper triangle.
+#[inline(always)]
+pub(crate) fn product<T: Number>(&[xx, xy, xz, yy, yz, zz]: &[T; 6], x: [T; 3]) -> [T; 3] {
+    [xx * x[0] + xy * x[1] + xz * x[2], xy * x[0] + yy * x[1] + yz * x[2], xz * x[0] + yz * x[1] + zz * x[2]]
+}
+
+/// Solves `(A + r·I) x = g` by LDLᵀ: `x`, and the pivots, all above zero where the matrix is positive definite.
+#[inline(always)]
+pub(crate) fn solve<T: Number>(&[xx, xy, xz, yy, yz, zz]: &[T; 6], r: T, g: [T; 3]) -> ([T; 3], [T; 3]) {
+    let (xx, yy, zz) = (xx + r, yy + r, zz + r);
+    let l10 = xy / xx;
+    let l20 = xz / xx;
+    let d1 = yy - l10 * xy;
+    let t = yz - l20 * xy;
+    let l21 = t / d1;
+    let d2 = zz - l20 * xz - l21 * t;
+    let y1 = g[1] - l10 * g[0];
+    let y2 = g[2] - l20 * g[0] - l21 * y1;
+    let z = y2 / d2;
+    let y = y1 / d1 - l21 * z;
+    let x = g[0] / xx - l10 * y - l20 * z;
+    ([x, y, z], [xx, d1, d2])
 }
 
 impl Quadric {
@@ -62,8 +96,7 @@ impl Quadric {
     /// `A x`.
     #[inline(always)]
     pub fn product(&self, x: DVec3) -> DVec3 {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        DVec3::new(xx * x.x + xy * x.y + xz * x.z, xy * x.x + yy * x.y + yz * x.z, xz * x.x + yz * x.y + zz * x.z)
+        DVec3::from(product(&self.a, x.to_array()))
     }
 
     /// `Q(x)`, never below zero.
@@ -91,23 +124,10 @@ impl Quadric {
     #[inline(always)]
     pub fn minimiser(&self, m: DVec3, epsilon: f64) -> Option<DVec3> {
         let r = epsilon * self.trace() * (1.0 / 3.0);
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        let (xx, yy, zz) = (xx + r, yy + r, zz + r);
-        // LDLᵀ of a matrix that is positive definite by construction; solved for the step from m.
         let g = -(self.product(m) + self.b);
-        let l10 = xy / xx;
-        let l20 = xz / xx;
-        let d1 = yy - l10 * xy;
-        let t = yz - l20 * xy;
-        let l21 = t / d1;
-        let d2 = zz - l20 * xz - l21 * t;
-        let y1 = g.y - l10 * g.x;
-        let y2 = g.z - l20 * g.x - l21 * y1;
-        let z = y2 / d2;
-        let y = y1 / d1 - l21 * z;
-        let x = g.x / xx - l10 * y - l20 * z;
-        let x = m + DVec3::new(x, y, z);
-        (xx > 0.0 && d1 > 0.0 && d2 > 0.0 && x.is_finite()).then_some(x)
+        let (step, pivots) = solve(&self.a, r, g.to_array());
+        let x = m + DVec3::from(step);
+        (pivots.into_iter().all(|pivot| pivot > 0.0) && x.is_finite()).then_some(x)
     }
 
     /// `A` as a matrix.

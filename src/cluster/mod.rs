@@ -53,7 +53,7 @@ mod used;
 
 use crate::cores::InPieces;
 use crate::error::{Error, Result};
-use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile};
+use crate::mesh::{Coordinate, Frame, IndexedMesh, SampleFile, number_used, renumber};
 use crate::quadric::PackedQuadric;
 use crate::read::{Crew, Layout, Scan};
 use crate::scratch::Scratch;
@@ -415,12 +415,13 @@ impl Run<'_> {
             quantum,
         };
         let (positions, quadrics) = evidence.represent(&cells);
-        let numbers = if samples.is_some() { table.len() } else { 0 };
+        let all_cells = table.len();
         let homes = || {
-            let mut homes = vec![u32::MAX; numbers];
-            cells.iter().zip(0..).take(numbers).for_each(|(cell, vertex)| homes[*cell as usize] = vertex);
+            let mut homes = vec![u32::MAX; all_cells];
+            cells.iter().zip(0..).for_each(|(cell, vertex)| homes[*cell as usize] = vertex);
             homes
         };
+        let homes = || if samples.is_some() { homes() } else { Vec::new() };
         let ((), homes) = rayon::join(|| drop((totals, table)), homes);
         let mesh = IndexedMesh { positions, faces: triples };
         Ok(Clustered { mesh, frame, quadrics, samples, homes, stats: self.stats })
@@ -438,23 +439,11 @@ fn quantum(mean_area: f64) -> f64 {
 
 /// Drops cells that no triple uses and renumbers the rest without gaps. Returns the number each had in the table.
 fn compact(triples: &mut [[u32; 3]], ranks: Vec<u32>) -> Vec<u32> {
-    const UNUSED: u32 = u32::MAX;
-    let numbers: Vec<AtomicU32> = ranks.par_iter().in_pieces(4096).map(|_| AtomicU32::new(UNUSED)).collect();
-    let number = |rank: u32| &numbers[rank as usize];
-    triples
-        .par_iter()
-        .in_pieces(4096)
-        .for_each(|triple| triple.iter().for_each(|rank| number(*rank).store(0, Relaxed)));
-    let mut next = 0;
-    for number in numbers.iter().filter(|number| number.load(Relaxed) != UNUSED) {
-        number.store(next, Relaxed);
-        next += 1;
-    }
-    let cells: Vec<AtomicU32> = bytemuck::zeroed_vec(next as usize);
-    let renumber = |triple: &mut [u32; 3]| *triple = triple.map(|rank| number(rank).load(Relaxed));
-    triples.par_iter_mut().in_pieces(4096).for_each(renumber);
+    let (numbers, used) = number_used(triples, ranks.len());
+    renumber(triples, &numbers);
+    let cells: Vec<AtomicU32> = bytemuck::zeroed_vec(used);
     ranks.into_par_iter().enumerate().in_pieces(4096).for_each(|(cell, rank)| {
-        if let Some(place) = cells.get(number(rank).load(Relaxed) as usize) {
+        if let Some(place) = cells.get(numbers[rank as usize] as usize) {
             place.store(cell as u32, Relaxed);
         }
     });

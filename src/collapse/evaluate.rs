@@ -7,6 +7,7 @@ use super::surface::{STEP, Surface, at_most_refused, settled};
 use super::{LEARNT_WEIGHT, Options};
 use crate::cores::InPieces;
 use crate::mesh::Coordinate;
+use crate::quadric::{product, solve};
 use rayon::prelude::*;
 use wide::f64x2;
 
@@ -172,8 +173,7 @@ struct Form {
 impl Form {
     #[inline(always)]
     fn product(&self, x: &Vector) -> Vector {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        [xx * x[0] + xy * x[1] + xz * x[2], xy * x[0] + yy * x[1] + yz * x[2], xz * x[0] + yz * x[1] + zz * x[2]]
+        product(&self.a, *x)
     }
 
     #[inline(always)]
@@ -187,26 +187,13 @@ impl Form {
     /// [`optimal`](super::place::optimal) finds it.
     #[inline(always)]
     fn best(&self, half: &Vector) -> (Vector, f64x2) {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        let r = f64x2::splat(PULL) * (xx + yy + zz) * f64x2::splat(1.0 / 3.0);
-        let (xx, yy, zz) = (xx + r, yy + r, zz + r);
-        let g = self.b.map(|b| -b);
-        let l10 = xy / xx;
-        let l20 = xz / xx;
-        let d1 = yy - l10 * xy;
-        let t = yz - l20 * xy;
-        let l21 = t / d1;
-        let d2 = zz - l20 * xz - l21 * t;
-        let y1 = g[1] - l10 * g[0];
-        let y2 = g[2] - l20 * g[0] - l21 * y1;
-        let z = y2 / d2;
-        let y = y1 / d1 - l21 * z;
-        let x = g[0] / xx - l10 * y - l20 * z;
-        let step = [x, y, z];
+        let r = f64x2::splat(PULL) * (self.a[0] + self.a[3] + self.a[5]) * f64x2::splat(1.0 / 3.0);
+        let (step, [first, second, third]) = solve(&self.a, r, self.b.map(|b| -b));
         let zero = f64x2::ZERO;
         let most = f64x2::splat((2.0 * REACH) * (2.0 * REACH)) * dot(half, half);
         // No number is not near either.
-        let near = xx.simd_gt(zero) & d1.simd_gt(zero) & d2.simd_gt(zero) & dot(&step, &step).simd_le(most);
+        let definite = first.simd_gt(zero) & second.simd_gt(zero) & third.simd_gt(zero);
+        let near = definite & dot(&step, &step).simd_le(most);
         let cost = self.value(&step);
         if near.all() {
             return (step, cost);

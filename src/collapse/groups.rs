@@ -6,7 +6,8 @@
 //! many. Edges are ranked by what their ends have learnt, without current quadrics and without keeping any cost.
 
 use super::batch::{Batch, Edges, NONE, cheapest};
-use super::surface::{LANES, Surface};
+use super::rank::LANES;
+use super::surface::Surface;
 use super::{Options, Stride};
 use crate::cores::InPieces;
 use crate::mesh::Coordinate;

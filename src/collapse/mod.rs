@@ -49,6 +49,7 @@ mod penalty;
 mod pieces;
 mod place;
 mod policy;
+mod rank;
 mod seams;
 mod shade;
 mod surface;

@@ -5,18 +5,14 @@ use super::policy::{FoldCheck, Placement, Quadrics, Weighting};
 use super::{LEARNT_WEIGHT, Options};
 use crate::cores::InPieces;
 use crate::mesh::adjacency::{Stars, after, before, parts};
-use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, narrow, step, widen};
+use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, narrow, widen};
 use crate::quadric::{PackedQuadric, Quadric};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
-use wide::f32x4;
 
 /// A cost that says that the edge's collapse was tried on this geometry and refused. Any finite cost is below it.
 pub(super) const REFUSED: f32 = f32::MAX;
-
-/// Edges that are ranked together.
-pub(super) const LANES: usize = 4;
 
 /// Where no more than one face in so many is left, those that have gone have made room for the roots of all.
 const ROOTS_FROM: usize = 2;
@@ -380,18 +376,6 @@ impl<S: Coordinate> Surface<S> {
         }
     }
 
-    /// What edges from `v` cost for what their ends have learnt: the best of the middle and the ends stands for the optimum.
-    /// That is less work, and E_avg was no higher on any of nine models tried. The same from either end.
-    #[inline(always)]
-    pub fn ranks(&self, v: u32, to: [u32; LANES]) -> [f32; LANES] {
-        let steps = to.map(|u| step(self.positions[v as usize], self.positions[u as usize]));
-        let mut costs = least_of_three::<S>(&self.learnt[v as usize], to.map(|u| &self.learnt[u as usize]), steps);
-        if self.is_shaded() {
-            costs += f32x4::from(to.map(|u| self.shade_rank(v, u)));
-        }
-        costs.to_array().map(|cost| at_most_refused(settled::<S>(cost)))
-    }
-
     /// The sum of what vertices have learnt, about `x`.
     #[inline(always)]
     pub fn merged(&self, members: &[u32], x: DVec3) -> Quadric {
@@ -541,44 +525,13 @@ fn subtract(q: &mut Quadric, o: &Quadric) {
     q.w -= o.w;
 }
 
-/// The least values of sums of quadrics, of `p` with each of some others `steps` away, at the middles between their origins
-/// and at both of them. In single precision, like the quadrics: it only ranks.
-#[inline(always)]
-fn least_of_three<S: Coordinate>(p: &PackedQuadric, others: [&PackedQuadric; LANES], steps: [Vec3; LANES]) -> f32x4 {
-    let numbers = |i: usize| {
-        f32x4::transpose(others.map(|q| {
-            let q: &[f32; 11] = bytemuck::cast_ref(q);
-            f32x4::new([q[i], q[i + 1], q[i + 2], q[i + 3]])
-        }))
-    };
-    let ([xx, xy, xz, yy], [yz, zz, bx, by], [_, bz, c, w]) = (numbers(0), numbers(4), numbers(7));
-    let [x, y, z] = [0, 1, 2].map(|axis| f32x4::new(steps.map(|step| step[axis])) * f32x4::splat(0.5));
-    let two = f32x4::splat(2.0);
-    let s = [x * x, two * x * y, two * x * z, y * y, two * y * z, z * z];
-    let form =
-        |a: [f32x4; 6]| ((a[0] * s[0] + a[1] * s[1]) + (a[2] * s[2] + a[3] * s[3])) + (a[4] * s[4] + a[5] * s[5]);
-    let along = |b: [f32x4; 3]| two * (b[0] * x + b[1] * y + b[2] * z);
-    // p at its own origin is c, in the middle c + 2b·h + hᵀAh, at q's origin c + 4b·h + 4hᵀAh; q likewise towards −h.
-    let (pb, qb) = (along(p.b.map(f32x4::splat)), -along([bx, by, bz]));
-    let (pa, qa) = (form(p.a.map(f32x4::splat)), form([xx, xy, xz, yy, yz, zz]));
-    let middle = (pb + qb) + (pa + qa);
-    let at_p = two * qb + f32x4::splat(4.0) * qa;
-    let at_q = two * pb + f32x4::splat(4.0) * pa;
-    let mut cost = f32x4::splat(p.c) + c + middle.fast_min(at_p.fast_min(at_q));
-    if S::DOUBLE {
-        let most = f32x4::splat((STEP * (1u64 << 23) as f64) as f32) * (f32x4::splat(p.w) + w) * (s[0] + s[3] + s[5]);
-        cost = (cost + most) - most;
-    }
-    cost.fast_max(f32x4::ZERO)
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
 
     const SIDE: u32 = 5;
     /// In the middle of [`bumps`], and its neighbours.
-    const MIDDLE: u32 = 12;
+    pub(in crate::collapse) const MIDDLE: u32 = 12;
     const NEIGHBOURS: [u32; 6] = [6, 7, 11, 13, 17, 18];
 
     /// A grid of five by five vertices that are not in a plane.
@@ -593,26 +546,6 @@ pub(super) mod tests {
         surface.stars.rebuild(&surface.faces, surface.positions.len());
         surface.learn(&Options::to(1));
         surface
-    }
-
-    fn ranks_are_least_of_three<S: Coordinate>() {
-        let surface = bumps::<S>();
-        for to in [[6, 7, 11, 13], [17, 18, 18, 18]] {
-            let ranks = surface.ranks(MIDDLE, to);
-            for (rank, u) in ranks.into_iter().zip(to) {
-                let (p, q) = (surface.at(MIDDLE), surface.at(u));
-                let value = |x: DVec3| surface.merged(&[MIDDLE, u], x).c;
-                let least = value(p).min(value(q)).min(value(0.5 * (p + q)));
-                assert!(least > 1e-6 && (f64::from(rank) - least).abs() < 1e-4 * least, "{rank} {least}");
-                assert_eq!(surface.ranks(u, [MIDDLE; LANES])[3], rank, "either end says the same");
-            }
-        }
-    }
-
-    #[test]
-    fn edges_are_ranked_by_the_best_of_the_middle_and_the_ends() {
-        ranks_are_least_of_three::<f32>();
-        ranks_are_least_of_three::<f64>();
     }
 
     /// With the quadrics of its faces, and their roots as where half of the faces have gone.

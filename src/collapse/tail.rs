@@ -6,7 +6,7 @@ use super::policy::Primitive;
 use super::surface::{Around, KEPT, REFUSED, Surface};
 use super::{Followed, Options};
 use crate::mesh::adjacency::{Stars, parts};
-use crate::mesh::{Coordinate, widen};
+use crate::mesh::{Coordinate, number_used, renumber, widen};
 use crate::{Result, progress::Progress};
 use rustc_hash::FxHashMap;
 use std::cmp::Reverse;
@@ -311,26 +311,16 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>) -> Vec<u32> {
     let mut lives = surface.faces.iter().map(|f| f[0] != NONE);
     surface.wedges.corners.retain(|_| lives.next() == Some(true));
     surface.faces.retain(|f| f[0] != NONE);
-    let mut numbers = vec![NONE; surface.positions.len()];
-    for &v in surface.faces.iter().flatten() {
-        numbers[v as usize] = 0;
-    }
-    let mut kept = 0;
-    for (v, number) in numbers.iter_mut().enumerate() {
-        if *number != NONE {
-            surface.positions[kept] = surface.positions[v];
-            surface.marks.swap(kept, v);
-            *number = kept as u32;
-            kept += 1;
-        }
+    let (numbers, kept) = number_used(&surface.faces, surface.positions.len());
+    for (v, &number) in numbers.iter().enumerate().filter(|(_, number)| **number != NONE) {
+        surface.positions[number as usize] = surface.positions[v];
+        surface.marks.swap(number as usize, v);
     }
     if surface.wedges.is_empty() {
         surface.shades.keep(numbers.len(), |v| Some(numbers[v]).filter(|new| *new != NONE));
     }
     surface.positions.truncate(kept);
     surface.marks.truncate(kept);
-    for v in surface.faces.iter_mut().flatten() {
-        *v = numbers[*v as usize];
-    }
+    renumber(&mut surface.faces, &numbers);
     numbers
 }

@@ -38,11 +38,6 @@ impl Stars {
     pub fn across(&self, faces: &[[u32; 3]], f: usize, (u, v): (u32, u32)) -> Option<usize> {
         self.of(u).iter().map(|&corner| parts(corner).0).find(|&g| g != f && faces[g].contains(&v))
     }
-
-    /// Gives the memory back.
-    pub fn release(&mut self) {
-        *self = Stars::default();
-    }
 }
 
 /// Most faces that corners can be numbered for.

@@ -18,6 +18,7 @@ mod weld;
 
 pub use frame::{Coordinate, Extent, Frame};
 pub use indexed::{IndexedMesh, narrow, step, widen};
+pub(crate) use indexed::{number_used, renumber};
 pub(crate) use mix::mix;
 pub use reference::Reference;
 pub use samples::{SampleFile, SurfaceSamples};

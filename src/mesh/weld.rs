@@ -1,10 +1,9 @@
 //! Making one vertex of coincident ones.
 
-use super::{Coordinate, IndexedMesh};
+use super::{Coordinate, IndexedMesh, number_used, renumber};
 use crate::cores::InPieces;
 use crate::error::Result;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// What [`weld`] found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -45,7 +44,7 @@ pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>, check: impl Fn() -> Result
     }
 
     if report.duplicate_vertices > 0 {
-        mesh.faces.par_iter_mut().in_pieces(4096).for_each(|face| *face = face.map(|v| first[v as usize]));
+        renumber(&mut mesh.faces, &first);
     }
     let repeats = |[a, b, c]: &[u32; 3]| a == b || b == c || c == a;
     report.repeated_corner_faces = mesh.faces.par_iter().in_pieces(4096).filter(|face| repeats(face)).count() as u64;
@@ -54,24 +53,12 @@ pub fn weld<S: Coordinate>(mesh: &mut IndexedMesh<S>, check: impl Fn() -> Result
     }
 
     drop(first);
-    let numbers: Vec<AtomicU32> = mesh.positions.par_iter().in_pieces(4096).map(|_| AtomicU32::new(NONE)).collect();
-    mesh.faces
-        .par_iter()
-        .in_pieces(4096)
-        .for_each(|face| face.iter().for_each(|v| numbers[*v as usize].store(0, Relaxed)));
-    let mut kept = 0u32;
-    for (v, number) in numbers.iter().enumerate() {
-        if number.load(Relaxed) != NONE {
-            mesh.positions[kept as usize] = mesh.positions[v];
-            number.store(kept, Relaxed);
-            kept += 1;
-        }
-    }
-    report.unreferenced_vertices = vertices as u64 - report.duplicate_vertices - u64::from(kept);
-    mesh.positions.truncate(kept as usize);
-    let renumber = |face: &mut [u32; 3]| *face = face.map(|v| numbers[v as usize].load(Relaxed));
-    if (kept as usize) < vertices {
-        mesh.faces.par_iter_mut().in_pieces(4096).for_each(renumber);
+    let (numbers, kept) = number_used(&mesh.faces, vertices);
+    report.unreferenced_vertices = vertices as u64 - report.duplicate_vertices - kept as u64;
+    if kept < vertices {
+        let mut number = numbers.iter();
+        mesh.positions.retain(|_| number.next() != Some(&NONE));
+        renumber(&mut mesh.faces, &numbers);
     }
     Ok(report)
 }
