@@ -14,15 +14,13 @@ use crate::quadric::PackedQuadric;
 use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Vertices of a piece from which the nearest other piece is looked for.
 const PROBES: usize = 8;
 
 /// A piece of at most so many faces is left alone by rounds of groups, which could take it whole.
 const SMALL: u32 = 64;
-
-/// Faces whose areas are held at a time.
-const FACES_AT_ONCE: usize = 1 << 16;
 
 /// Which piece each vertex is in, and the pieces. 4 bytes a vertex where there is more than one.
 #[derive(Debug, Default)]
@@ -42,30 +40,30 @@ struct Piece {
 
 impl Pieces {
     /// Finds the pieces of a mesh, whose vertices [`joined`] has joined. `is_odd` says of a vertex whether it is on a border.
-    pub fn find<S: Coordinate>(mesh: &IndexedMesh<S>, joined: Vec<u32>, is_odd: impl Fn(u32) -> bool) -> Self {
+    pub fn find<S: Coordinate>(mesh: &IndexedMesh<S>, joined: Vec<u32>, is_odd: impl Fn(u32) -> bool + Sync) -> Self {
         let mut of = joined;
         let first = mesh.faces.first().map_or(0, |face| of[face[0] as usize]);
         if mesh.faces.par_iter().in_pieces(4096).all(|face| of[face[0] as usize] == first) {
             return Pieces::default();
         }
-        let mut list = Vec::new();
-        let mut numbers = vec![NONE; of.len()];
-        for &[v, ..] in &mesh.faces {
-            let root = of[v as usize] as usize;
-            if numbers[root] == NONE {
-                numbers[root] = list.len() as u32;
-                list.push(Piece { faces: 0, last: 4, stake: 0.0 });
+        let roots: Vec<AtomicU32> = of.par_iter().in_pieces(4096).map(|_| AtomicU32::new(NONE)).collect();
+        mesh.faces.par_iter().in_pieces(4096).for_each(|face| {
+            let root = &roots[of[face[0] as usize] as usize];
+            if root.load(Relaxed) == NONE {
+                root.store(0, Relaxed);
             }
+        });
+        let mut list = Vec::new();
+        for root in roots.iter().filter(|root| root.load(Relaxed) != NONE) {
+            root.store(list.len() as u32, Relaxed);
+            list.push(Piece { faces: 0, last: 4, stake: 0.0 });
         }
-        of.par_iter_mut().in_pieces(4096).for_each(|root| *root = numbers[*root as usize]);
+        of.par_iter_mut().in_pieces(4096).for_each(|root| *root = roots[*root as usize].load(Relaxed));
+        let odd = |v: &u32| of[*v as usize] != NONE && is_odd(*v);
+        let odd: Vec<u32> = (0..of.len() as u32).into_par_iter().in_pieces(4096).filter(odd).collect();
+        odd.into_iter().for_each(|v| list[of[v as usize] as usize].last = 2);
         let mut pieces = Pieces { of, list };
         pieces.count(&mesh.faces);
-        for v in 0..mesh.positions.len() as u32 {
-            let piece = pieces.of[v as usize];
-            if piece != NONE && is_odd(v) {
-                pieces.list[piece as usize].last = 2;
-            }
-        }
         pieces.set_stakes(mesh);
         pieces
     }
@@ -126,34 +124,16 @@ impl Pieces {
 
     /// The stake of every piece but the largest.
     fn set_stakes<S: Coordinate>(&mut self, mesh: &IndexedMesh<S>) {
-        let mut areas = vec![0.0f64; self.list.len()];
-        let area = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(|v| mesh.at(v));
-            0.5 * (b - a).cross(c - a).length()
-        };
-        let mut of_faces = Vec::new();
-        for faces in mesh.faces.chunks(FACES_AT_ONCE) {
-            faces.par_iter().in_pieces(1024).map(area).collect_into_vec(&mut of_faces);
-            for (face, area) in faces.iter().zip(&of_faces) {
-                areas[self.of[face[0] as usize] as usize] += area;
-            }
-        }
         let most = self.list.iter().map(|piece| piece.faces).max();
-        let largest = self.list.iter().position(|piece| Some(piece.faces) == most);
-        let probes = self.probes();
-        let places = Places::of(mesh, |v| self.of[v as usize] != NONE);
-        let this = &*self;
-        let stakes: Vec<f32> = (0..this.list.len())
-            .into_par_iter()
-            .map(|i| {
-                if Some(i) == largest {
-                    return 0.0;
-                }
-                let other = |v: u32| this.of[v as usize] != i as u32;
-                let distances_sq =
-                    probes[i].iter().filter(|v| **v != NONE).map(|&v| places.nearest_sq(mesh.at(v), other));
+        let largest = self.list.iter().position(|piece| Some(piece.faces) == most).map_or(NONE, |i| i as u32);
+        let ((areas, probes), places) =
+            rayon::join(|| (self.areas(mesh, largest), self.probes(largest)), || Places::of(mesh, &self.of));
+        let stakes: Vec<f32> = (areas.into_par_iter().zip(probes).zip(0..self.list.len() as u32))
+            .map(|((area, probes), piece)| {
+                let there = probes.iter().filter(|v| **v != NONE);
+                let distances_sq = there.map(|&v| places.nearest_sq(mesh.at(v), piece));
                 let (sum, count) = distances_sq.fold((0.0, 0), |(sum, count), d| (sum + d, count + 1));
-                (areas[i] * sum / f64::from(count.max(1))) as f32
+                (area * sum / f64::from(count.max(1))) as f32
             })
             .collect();
         for (piece, stake) in self.list.iter_mut().zip(stakes) {
@@ -161,19 +141,32 @@ impl Pieces {
         }
     }
 
-    /// Vertices of every piece, spread over its numbers.
-    fn probes(&self) -> Vec<[u32; PROBES]> {
+    /// The area of every piece but one.
+    fn areas<S: Coordinate>(&self, mesh: &IndexedMesh<S>, but: u32) -> Vec<f64> {
+        let mut areas = vec![0.0; self.list.len()];
+        for face in &mesh.faces {
+            let piece = self.of[face[0] as usize];
+            if piece != but {
+                let [a, b, c] = face.map(|v| mesh.at(v));
+                areas[piece as usize] += 0.5 * (b - a).cross(c - a).length();
+            }
+        }
+        areas
+    }
+
+    /// Vertices of every piece but one, spread over its numbers.
+    fn probes(&self, but: u32) -> Vec<[u32; PROBES]> {
         let mut vertices = vec![0u32; self.list.len()];
-        let used = || self.of.iter().enumerate().filter(|(_, piece)| **piece != NONE);
-        for (_, &piece) in used() {
+        let used = || self.of.iter().zip(0..).filter(|(piece, _)| **piece != NONE && **piece != but);
+        for (&piece, _) in used() {
             vertices[piece as usize] += 1;
         }
         let mut probes = vec![[NONE; PROBES]; self.list.len()];
         let mut seen = vec![0u32; self.list.len()];
-        for (v, &piece) in used() {
+        for (&piece, v) in used() {
             let (seen, all) = (&mut seen[piece as usize], vertices[piece as usize]);
             let slot = u64::from(*seen) * PROBES as u64 / u64::from(all);
-            probes[piece as usize][slot as usize] = v as u32;
+            probes[piece as usize][slot as usize] = v;
             *seen += 1;
         }
         probes
@@ -264,24 +257,32 @@ pub(super) fn joined(faces: &[[u32; 3]], vertices: usize) -> Vec<u32> {
 
 /// Positions in the order of a space-filling curve: a cube of space is a range of them.
 struct Places {
-    /// Curve key and vertex.
-    sorted: Vec<(u64, u32)>,
+    /// Curve keys, and below them the vertices.
+    sorted: Vec<u64>,
     at: Vec<DVec3>,
+    /// The piece of each.
+    of: Vec<u32>,
+    /// How often the piece has changed on the way to each: where it has not, a range is of one piece.
+    changes: Vec<u32>,
     low: DVec3,
     side: f64,
 }
 
-/// Levels of the curve: cubes of 2⁻²¹ of the longest side.
-const LEVELS: u32 = 21;
+/// Levels of the curve: cubes of 2⁻¹⁰ of the longest side, so that a key and a vertex share a word.
+const LEVELS: u32 = 10;
 
 /// A cube with so few positions is looked through.
-const LEAF: usize = 8;
+const LEAF: usize = 16;
 
 impl Places {
-    /// Of the vertices of a mesh that count.
-    fn of<S: Coordinate>(mesh: &IndexedMesh<S>, counts: impl Fn(u32) -> bool + Sync) -> Self {
-        let mut extent = Extent::default();
-        mesh.positions.iter().for_each(|p| extent.include(widen(*p)));
+    /// Of those vertices of a mesh that are in a piece.
+    fn of<S: Coordinate>(mesh: &IndexedMesh<S>, pieces: &[u32]) -> Self {
+        let include = |mut extent: Extent, p: &[S; 3]| {
+            extent.include(widen(*p));
+            extent
+        };
+        let positions = mesh.positions.par_iter().in_pieces(4096);
+        let extent = positions.fold(Extent::default, include).reduce(Extent::default, Extent::union);
         let (low, side) = (extent.min, extent.size().max_element());
         let cubes = f64::from(1u32 << LEVELS);
         let key = |p: DVec3| {
@@ -289,32 +290,41 @@ impl Places {
             spread(scaled.x as u64) | spread(scaled.y as u64) << 1 | spread(scaled.z as u64) << 2
         };
         let vertices = (0..mesh.positions.len() as u32).into_par_iter().in_pieces(4096);
-        let mut sorted: Vec<(u64, u32)> = vertices.filter(|v| counts(*v)).map(|v| (key(mesh.at(v)), v)).collect();
+        let in_pieces = vertices.filter(|v| pieces[*v as usize] != NONE);
+        let mut sorted: Vec<u64> = in_pieces.map(|v| key(mesh.at(v)) << 32 | u64::from(v)).collect();
         sorted.par_sort_unstable();
-        let at = sorted.par_iter().in_pieces(4096).map(|&(_, v)| mesh.at(v)).collect();
-        Places { sorted, at, low, side }
+        let sort = || sorted.par_iter().in_pieces(4096).map(|entry| *entry as u32);
+        let at = sort().map(|v| mesh.at(v)).collect();
+        let of: Vec<u32> = sort().map(|v| pieces[v as usize]).collect();
+        let mut changes = vec![0; of.len()];
+        for i in 1..of.len() {
+            changes[i] = changes[i - 1] + u32::from(of[i] != of[i - 1]);
+        }
+        Places { sorted, at, of, changes, low, side }
     }
 
-    /// The squared distance to the nearest position that counts; infinite if none does.
-    fn nearest_sq(&self, from: DVec3, counts: impl Fn(u32) -> bool) -> f64 {
+    /// The squared distance to the nearest position in another piece than this; infinite if there is none.
+    fn nearest_sq(&self, from: DVec3, not: u32) -> f64 {
         let mut best = f64::INFINITY;
-        self.search(from, &counts, (0, self.sorted.len()), LEVELS, self.low, &mut best);
+        self.search((from, not), (0, self.sorted.len()), LEVELS, self.low, &mut best);
         best
     }
 
     fn search(
         &self,
-        from: DVec3,
-        counts: &impl Fn(u32) -> bool,
+        (from, not): (DVec3, u32),
         (begin, end): (usize, usize),
         level: u32,
         corner: DVec3,
         best: &mut f64,
     ) {
+        if begin == end || self.of[begin] == not && self.changes[begin] == self.changes[end - 1] {
+            return;
+        }
         if end - begin <= LEAF || level == 0 {
-            for i in begin..end {
-                let distance_sq = self.at[i].distance_squared(from);
-                if distance_sq < *best && counts(self.sorted[i].1) {
+            for (at, of) in self.at[begin..end].iter().zip(&self.of[begin..end]) {
+                let distance_sq = at.distance_squared(from);
+                if distance_sq < *best && *of != not {
                     *best = distance_sq;
                 }
             }
@@ -324,8 +334,8 @@ impl Places {
         let mut children = [(f64::INFINITY, (0, 0), corner); 8];
         let mut at = begin;
         for (i, child) in children.iter_mut().enumerate() {
-            let shift = 3 * (level - 1);
-            let stop = at + self.sorted[at..end].partition_point(|&(key, _)| (key >> shift) & 7 <= i as u64);
+            let shift = 32 + 3 * (level - 1);
+            let stop = at + self.sorted[at..end].partition_point(|&entry| (entry >> shift) & 7 <= i as u64);
             let low = corner + side * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
             if stop > at {
                 *child = (from.distance_squared(from.clamp(low, low + side)), (at, stop), low);
@@ -335,7 +345,7 @@ impl Places {
         children.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (distance_sq, range, low) in children {
             if distance_sq < *best {
-                self.search(from, counts, range, level - 1, low, best);
+                self.search((from, not), range, level - 1, low, best);
             }
         }
     }
@@ -343,12 +353,11 @@ impl Places {
 
 /// Every third bit.
 fn spread(x: u64) -> u64 {
-    let mut x = x & 0x1f_ffff;
-    x = (x | x << 32) & 0x1f_0000_0000_ffff;
-    x = (x | x << 16) & 0x1f_0000_ff00_00ff;
-    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-    (x | x << 2) & 0x1249_2492_4924_9249
+    let mut x = x & 0x3ff;
+    x = (x | x << 16) & 0x0300_00ff;
+    x = (x | x << 8) & 0x0300_f00f;
+    x = (x | x << 4) & 0x030c_30c3;
+    (x | x << 2) & 0x0924_9249
 }
 
 #[cfg(test)]
@@ -371,15 +380,18 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_vertex_that_counts_is_found() {
+    fn the_nearest_vertex_of_another_piece_is_found() {
         let mesh = dust(300, 0.01);
-        let places = Places::of(&mesh, |_| true);
+        // Two tetrahedra a piece, and every seventh vertex in none.
+        let piece = |v: u32| if v % 7 == 3 { NONE } else { v / 8 };
+        let pieces: Vec<u32> = (0..1200).map(piece).collect();
+        let places = Places::of(&mesh, &pieces);
         for v in (0..1200).step_by(7) {
-            let counts = |u: u32| u / 4 != v / 4 && !u.is_multiple_of(3);
-            let all = (0..1200).filter(|&u| counts(u)).map(|u| mesh.at(u).distance_squared(mesh.at(v)));
-            assert_eq!(places.nearest_sq(mesh.at(v), counts), all.fold(f64::INFINITY, f64::min));
+            let others = (0..1200).filter(|&u| piece(u) != NONE && piece(u) != piece(v));
+            let nearest = others.map(|u| mesh.at(u).distance_squared(mesh.at(v))).fold(f64::INFINITY, f64::min);
+            assert_eq!(places.nearest_sq(mesh.at(v), piece(v)), nearest);
         }
-        assert_eq!(places.nearest_sq(DVec3::ZERO, |_| false), f64::INFINITY);
+        assert_eq!(Places::of(&mesh, &[5; 1200]).nearest_sq(DVec3::ZERO, 5), f64::INFINITY);
     }
 
     fn found(mesh: &IndexedMesh<f32>) -> Pieces {
