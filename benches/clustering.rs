@@ -25,6 +25,7 @@ impl Row<'_> {
         let options = ClusterOptions {
             representative: Representative::Quadric,
             cells,
+            enough_cells: cells,
             raw_faces: 5 * cells,
             spill_resident_bytes: self.spill_resident_bytes,
             samples: 0,

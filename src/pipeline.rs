@@ -302,27 +302,23 @@ impl Run<'_> {
             return Err(Error::Budget { what, needed_bytes: self.purse.in_core_budget::<S>(self.scan) });
         }
         match self.purse.way::<S>(self.scan, asked)? {
-            Way::Clustered(Cells { wanted, most }) => self.clustered(asked, wanted, most),
+            Way::Clustered(cells) => self.clustered(asked, cells),
             Way::Tiled(plan) => self.tiled(asked.unwrap_or(0), plan),
         }
     }
 
     /// Clusters, into more cells where the mesh that comes out is smaller than what is asked for.
-    fn clustered<S: Coordinate>(
-        &self,
-        asked: Option<u64>,
-        mut cells: usize,
-        most_cells: usize,
-    ) -> Result<Intermediate<S>> {
+    fn clustered<S: Coordinate>(&self, asked: Option<u64>, mut cells: Cells) -> Result<Intermediate<S>> {
         let crew = Crew { workers: self.purse.workers, progress: self.progress };
         loop {
-            let (raw_faces, spill_resident_bytes, limit) = self.purse.cluster_options::<S>(self.scan, cells);
+            let (raw_faces, spill_resident_bytes, limit) = self.purse.cluster_options::<S>(self.scan, cells.wanted);
             let options = ClusterOptions {
                 representative: self.job.representative,
-                cells,
+                cells: cells.wanted,
+                enough_cells: cells.enough(),
                 raw_faces,
                 spill_resident_bytes,
-                samples: self.purse.samples_beside(self.scan, cells, spill_resident_bytes),
+                samples: self.purse.samples_beside(self.scan, cells.wanted, spill_resident_bytes),
                 boundary_weight: self.job.policies.boundary_weight,
                 limit,
             };
@@ -333,9 +329,9 @@ impl Run<'_> {
             }
             let faces = clustered.mesh.faces.len() as u64;
             let enough = asked.unwrap_or(0);
-            if faces < enough && cells < most_cells {
+            if faces < enough && cells.wanted < cells.most {
                 let factor = 1.2 * enough as f64 / faces.max(1) as f64;
-                cells = ((cells as f64 * factor) as usize).min(most_cells);
+                cells.wanted = ((cells.wanted as f64 * factor) as usize).min(cells.most);
                 continue;
             }
             if faces < enough {

@@ -108,6 +108,16 @@ pub struct Cells {
     pub most: usize,
 }
 
+impl Cells {
+    /// The share of what is wanted that is enough where the budget has room for more.
+    const ENOUGH: f64 = 0.85;
+
+    /// How many are enough: where more would do no harm, a tenth more or less is not worth a pass over the scan.
+    pub fn enough(&self) -> usize {
+        if self.wanted < self.most { (Self::ENOUGH * self.wanted as f64) as usize } else { self.wanted }
+    }
+}
+
 /// The way a scan that does not fit goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Way {

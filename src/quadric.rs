@@ -42,7 +42,7 @@ pub(crate) trait Number:
 }
 
 impl Number for f64 {}
-impl Number for wide::f64x2 {}
+impl Number for wide::f32x4 {}
 
 /// `A x`, of `A`'s upper triangle.
 #[inline(always)]

@@ -4,9 +4,11 @@
 //! so that everything after this file is exact integer arithmetic: two faces that share a vertex see the same bits.
 
 use super::sizing::Sizing;
+use super::survey::STRAY;
 use crate::mesh::samples::Lattice;
 use crate::mesh::{Extent, Frame};
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Bits of a place within a cell, an axis.
 pub(super) const LOCAL_BITS: u32 = 13;
@@ -42,6 +44,8 @@ pub(super) struct Place {
     /// In the frame.
     min: DVec3,
     max: DVec3,
+    /// Where cells are counted from, a quarter of one below.
+    low: DVec3,
     /// Whether something may be far outside.
     stray: bool,
 }
@@ -49,12 +53,13 @@ pub(super) struct Place {
 impl Place {
     /// All of the scan is in `extent`, which is in the file's units.
     pub(super) fn within(frame: Frame, extent: &Extent) -> Self {
-        Place { frame, min: frame.place(extent.min), max: frame.place(extent.max), stray: false }
+        let min = frame.place(extent.min);
+        Place { frame, min, max: frame.place(extent.max), low: min, stray: false }
     }
 
-    /// Most of it is.
-    pub(super) fn about(frame: Frame, extent: &Extent) -> Self {
-        Place { stray: true, ..Self::within(frame, extent) }
+    /// Most of it is, and lowest of that is `low`.
+    pub(super) fn about(frame: Frame, extent: &Extent, low: DVec3) -> Self {
+        Place { low: frame.place(low), stray: true, ..Self::within(frame, extent) }
     }
 
     /// Between the file's units and the grid's.
@@ -62,9 +67,17 @@ impl Place {
         self.frame
     }
 
-    /// Where samples of the scan can lie.
-    pub(super) fn lattice(&self) -> Lattice {
-        Lattice::over(self.min, self.max)
+    /// Where samples of the scan can lie; these are its cells, if they are known by now.
+    pub(super) fn lattice(&self, grid: &Grid, cells: impl ParallelIterator<Item = u64>) -> Lattice {
+        let unit = |key| DVec3::from(coordinates(key).map(|x| x as f64));
+        let near = cells.filter(|key| self.stray && !is_far(*key)).map(|key| (unit(key), unit(key)));
+        let both = |a: (DVec3, DVec3), b: (DVec3, DVec3)| (a.0.min(b.0), a.1.max(b.1));
+        let (min, max) = match near.reduce_with(both) {
+            Some((least, most)) => (grid.origin + least * grid.cell, grid.origin + (most + 1.0) * grid.cell),
+            None => (self.min, self.max),
+        };
+        let is_stray = (max - min).max_element() > STRAY * self.longest();
+        if is_stray { Lattice::over(self.min, self.max) } else { Lattice::over(min, max) }
     }
 
     fn longest(&self) -> f64 {
@@ -103,16 +116,13 @@ pub(super) struct Grid {
 const ORDINARY: std::ops::Range<f64> = 1e-150..1e150;
 
 impl Grid {
-    /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long). The origin is a
-    /// quarter cell below the scan: a flat side of an axis-aligned model then lies inside a layer of cells, not on the
+    /// A grid of cells of side `cell` (frame units; widened if the scan would be too many cells long). Cells begin a
+    /// quarter of one below the scan: a flat side of an axis-aligned model then lies inside a layer of cells, not on the
     /// wall between two. About a scan with strays, cells go equally far to all sides.
     pub(super) fn new(place: Place, cell: f64) -> Self {
         let cell = if cell > place.finest() { cell } else { place.finest().max(f64::MIN_POSITIVE) };
-        let origin = if place.stray {
-            0.5 * (place.min + place.max) - cell * (1u32 << (COORDINATE_BITS - 1)) as f64
-        } else {
-            place.min - 0.25 * cell
-        };
+        let below = if place.stray { (1u32 << (COORDINATE_BITS - 1)) as f64 } else { 0.0 };
+        let origin = place.low - (below + 0.25) * cell;
         let steps_per_unit = STEPS / cell;
         let unit = place.frame.to_file(1.0);
         let in_file = ORDINARY.contains(&unit).then(|| (origin * unit, steps_per_unit / unit));
@@ -269,7 +279,8 @@ mod tests {
     #[test]
     fn positions_survive_binning_to_half_a_step() {
         let extent = Extent { min: DVec3::new(-3.0, 5e5, 0.0), max: DVec3::new(4.0, 5e5 + 2.0, 1.5) };
-        for place in [Place::within(Frame::of(&extent), &extent), Place::about(Frame::of(&extent), &extent)] {
+        for place in [Place::within(Frame::of(&extent), &extent), Place::about(Frame::of(&extent), &extent, extent.min)]
+        {
             let grid = Grid::new(place, 0.01);
             for p in [extent.min, extent.max, DVec3::new(0.1, 5e5 + 0.7, 1.1)] {
                 let s = grid.steps(p.to_array()).unwrap();
@@ -285,7 +296,7 @@ mod tests {
     #[test]
     fn what_is_far_is_binned_too() {
         let extent = Extent { min: DVec3::ZERO, max: DVec3::ONE };
-        let grid = Grid::new(Place::about(Frame::default(), &extent), 0.01);
+        let grid = Grid::new(Place::about(Frame::default(), &extent, extent.min), 0.01);
         for p in [[1e9, 0.5, 0.5], [-3e5, 2e4, -1.0], [0.0, 0.0, 8e9]] {
             let s = grid.steps(p).unwrap();
             let key = cell_key(s);

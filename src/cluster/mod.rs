@@ -5,7 +5,8 @@
 //! placed where the squared distance to the planes it has learnt is least, and hands those planes on as its quadric.
 //! After Lindstrom, *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
 //!
-//! Passes over the scan: extent and a count of cells (`survey.rs`); vertices to the spill (`spill.rs`); faces to sums
+//! Passes over the scan: extent and a count of cells (`survey.rs`), unless binning's own count will do
+//! ([`ClusterOptions::enough_cells`]); vertices to the spill (`spill.rs`); faces to sums
 //! and survivors (`faces.rs`, `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more
 //! (`border.rs`). A soup has no vertex pass: corners are binned as they come.
 //!
@@ -90,6 +91,9 @@ pub struct ClusterOptions {
     pub representative: Representative,
     /// Cells that are to hold a vertex, at most and nearly.
     pub cells: usize,
+    /// So many are enough. Where that is fewer, an indexed scan's vertices are passed over once: cells are as large as the
+    /// sample suggests, and are counted while vertices are binned.
+    pub enough_cells: usize,
     /// Surviving faces that may be held, coincident ones included.
     pub raw_faces: usize,
     /// How much of the binned vertices may be in memory: all of them, if they fit, else a range of a join.
@@ -222,7 +226,7 @@ pub fn cluster<S: Coordinate>(
 ) -> Result<Clustered<S>> {
     let sample = scan.sample(crew, SAMPLE)?;
     let coherent = sample.blocks_per_triangle < COHERENT;
-    let (place, mut sizing) = survey::survey::<S>(scan, crew, &sample, options.cells)?;
+    let (place, mut sizing) = survey::survey::<S>(scan, crew, &sample, (options.cells, options.enough_cells))?;
     drop(sample);
     let stats = ClusterStats::default();
     let mut run = Run { scan, crew, scratch, options, place, coherent, coarser_weights: 1.0, stats };
@@ -288,6 +292,10 @@ impl Run<'_> {
                 drop((table, s));
                 return self.overflowed(&grid, sizing);
             }
+            if !sizing.has_learnt() && table.len() < self.options.enough_cells {
+                sizing.learn(grid.cell, table.len() as f64, table.blocks() as f64);
+                return Ok(None);
+            }
             cells = (table.len() as f64).max(1.0);
             ranks = table.ranks();
             table.keep_keys();
@@ -300,7 +308,8 @@ impl Run<'_> {
             0 => None,
             wanted => {
                 let area = (sizing.area(grid.cell), quantum);
-                Some(Sampler::new((&grid, &table), self.place.lattice(), area, wanted, self.scratch)?)
+                let lattice = self.place.lattice(&grid, table.cells());
+                Some(Sampler::new((&grid, &table), lattice, area, wanted, self.scratch)?)
             }
         };
         let worker = || {
@@ -353,7 +362,7 @@ impl Run<'_> {
     /// Has the next attempt make do with less.
     fn coarsen<T>(&mut self, sizing: &mut Sizing, excess: f64) -> Option<T> {
         self.stats.overflows += 1;
-        sizing.coarsen(1.05 * excess);
+        sizing.expect(1.05 * excess);
         None
     }
 

@@ -36,6 +36,7 @@ pub(super) struct Sizing {
     vertices: f64,
     /// What counts have shown `crossed` to be off by.
     correction: f64,
+    learnt: bool,
     cells: f64,
     blocks: f64,
 }
@@ -66,6 +67,7 @@ impl Sizing {
             areas,
             vertices: (vertices / faces.max(1.0)).clamp(1e-3, 3.0),
             correction: 1.0,
+            learnt: false,
             cells: cells as f64,
             blocks: CellTable::block_capacity(cells) as f64,
         }
@@ -105,6 +107,7 @@ impl Sizing {
 
     /// Learns that at `side`, `cells` cells and `blocks` blocks hold a vertex.
     pub(super) fn learn(&mut self, side: f64, cells: f64, blocks: f64) {
+        self.learnt = true;
         // A soup does not say how many vertices it has.
         let faces = self.scale * self.areas.len() as f64;
         self.vertices = self.vertices.max(1.2 * cells / faces.max(1.0));
@@ -116,8 +119,13 @@ impl Sizing {
         };
     }
 
-    /// Makes room for a factor more of what did not fit.
-    pub(super) fn coarsen(&mut self, factor: f64) {
+    /// Whether more is known than what the sample says.
+    pub(super) fn has_learnt(&self) -> bool {
+        self.learnt
+    }
+
+    /// Expects a factor more cells.
+    pub(super) fn expect(&mut self, factor: f64) {
         self.correction *= factor;
     }
 
@@ -172,6 +180,7 @@ mod tests {
             scale: 50.0,
             vertices: 0.5,
             correction: 1.0,
+            learnt: false,
             cells: 1000.0,
             blocks: 100.0,
         };

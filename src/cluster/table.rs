@@ -159,6 +159,16 @@ impl CellTable {
         (self.cells.load(Relaxed) as usize).min(self.keys.len())
     }
 
+    /// The keys of cells met so far.
+    pub(super) fn cells(&self) -> impl IndexedParallelIterator<Item = u64> {
+        self.keys[..self.len()].par_iter().in_pieces(4096).map(|key| key.load(Relaxed))
+    }
+
+    /// Blocks met so far.
+    pub(super) fn blocks(&self) -> usize {
+        self.taken.load(Relaxed) as usize
+    }
+
     /// The key of a cell that was numbered before by this worker or before its threads began.
     #[inline(always)]
     pub(super) fn key(&self, cell: u32) -> u64 {

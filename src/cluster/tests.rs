@@ -52,6 +52,7 @@ fn made(name: &str, bytes: &[u8]) -> Made {
 const OPTIONS: ClusterOptions = ClusterOptions {
     representative: Representative::Quadric,
     cells: 3000,
+    enough_cells: 3000,
     raw_faces: 12_000,
     spill_resident_bytes: 1 << 30,
     samples: 0,
@@ -154,7 +155,7 @@ fn integer_sums_are_what_a_naive_loop_sums() {
     let scratch = Scratch::in_folder(made.folder.path());
     let crew = Crew { workers: 2, progress: &progress };
     let sample = scan.sample(&crew, SAMPLE).unwrap();
-    let (place, mut sizing) = survey::survey::<f32>(&scan, &crew, &sample, OPTIONS.cells).unwrap();
+    let (place, mut sizing) = survey::survey::<f32>(&scan, &crew, &sample, (OPTIONS.cells, OPTIONS.cells)).unwrap();
     let stats = ClusterStats::default();
     let mut run = Run {
         scan: &scan,
@@ -367,6 +368,29 @@ fn a_vertex_that_is_nowhere_matters_only_to_faces_that_use_it() {
         let options = ClusterOptions { spill_resident_bytes: resident, ..OPTIONS };
         let error = ply(&positions, &faces).cluster(3, &options).unwrap_err().to_string();
         assert!(error.contains("vertex 6000") && error.contains("not finite"), "{error}");
+    }
+}
+
+#[test]
+fn where_cells_may_be_fewer_they_are_counted_as_vertices_are_binned() {
+    let (mut positions, faces) = torus(150, 400);
+    let loose = ClusterOptions { enough_cells: 2400, samples: 5000, ..OPTIONS };
+    for (noise, attempts) in [(0.0, 1), (0.015, 2)] {
+        // Noise is more area than cells see.
+        for (i, p) in positions.iter_mut().enumerate() {
+            p[2] += noise * ((i * 7919 % 101) as f32 / 50.0 - 1.0);
+        }
+        let made = ply(&positions, &faces);
+        let clustered = made.cluster(1, &loose).unwrap();
+        let stats = &clustered.stats;
+        assert!((2400..=3100).contains(&stats.occupied_cells) && stats.attempts == attempts, "{stats:?}");
+        assert_eq!((stats.overflows, odd_edges(&clustered.mesh.faces)), (0, 0));
+        assert!(same(&made.cluster(3, &loose).unwrap(), &clustered));
+        assert_eq!(made.cluster(2, &ClusterOptions { samples: 5000, ..OPTIONS }).unwrap().stats.attempts, 1);
+
+        // The torus is 2.6 wide, and samples lie in 2²¹ steps along it, and hardly more.
+        let steps = clustered.samples.unwrap().lattice.steps_of(clustered.frame.to_frame(2.6)) / f64::from(1 << 21);
+        assert!((0.9..1.0).contains(&steps), "{steps}");
     }
 }
 

@@ -23,17 +23,18 @@ impl<S: Coordinate> Surface<S> {
     }
 }
 
+/// Four of the numbers that each edge has, from the `first` on, side by side.
+#[inline(always)]
+pub(super) fn columns<const N: usize>(numbers: [&[f32; N]; LANES], first: usize) -> [f32x4; 4] {
+    f32x4::transpose(numbers.map(|of| f32x4::new(std::array::from_fn(|i| of[first + i]))))
+}
+
 /// The least values of sums of quadrics, of `p` with each of some others `steps` away, at the middles between their origins
 /// and at both of them. In single precision, like the quadrics: it only ranks.
 #[inline(always)]
 fn least_of_three<S: Coordinate>(p: &PackedQuadric, others: [&PackedQuadric; LANES], steps: [Vec3; LANES]) -> f32x4 {
-    let numbers = |i: usize| {
-        f32x4::transpose(others.map(|q| {
-            let q: &[f32; 11] = bytemuck::cast_ref(q);
-            f32x4::new([q[i], q[i + 1], q[i + 2], q[i + 3]])
-        }))
-    };
-    let ([xx, xy, xz, yy], [yz, zz, bx, by], [_, bz, c, w]) = (numbers(0), numbers(4), numbers(7));
+    let numbers = others.map(bytemuck::cast_ref);
+    let [[xx, xy, xz, yy], [yz, zz, bx, by], [_, bz, c, w]] = [0, 4, 7].map(|first| columns::<11>(numbers, first));
     let [x, y, z] = [0, 1, 2].map(|axis| f32x4::new(steps.map(|step| step[axis])) * f32x4::splat(0.5));
     let two = f32x4::splat(2.0);
     let s = [x * x, two * x * y, two * x * z, y * y, two * y * z, z * z];

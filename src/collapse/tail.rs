@@ -4,7 +4,7 @@ use super::batch::{NONE, order};
 use super::join::Joins;
 use super::policy::Primitive;
 use super::surface::{Around, KEPT, REFUSED, Surface};
-use super::{Followed, Options};
+use super::{Followed, Options, limit};
 use crate::mesh::adjacency::{Stars, parts};
 use crate::mesh::{Coordinate, number_used, renumber, widen};
 use crate::{Result, progress::Progress};
@@ -27,6 +27,9 @@ impl Around for Overlay {
         }
     }
 }
+
+/// Edges that the heap has at first for each face that is to go. A collapse takes two faces, and two or three edges with it.
+const EDGES_A_FACE: u64 = 4;
 
 /// An edge in the heap: cost as bits (costs are never negative, so bits order as numbers do), then the tie-break.
 type Entry = Reverse<(u32, (u32, u32, u32))>;
@@ -65,7 +68,8 @@ pub(super) fn finish<S: Coordinate>(
     surface.forget_roots();
     let left = surface.faces.len();
     let becomes = (0..surface.positions.len() as u32).collect();
-    let mut tail = Tail { becomes, left, surface, overlay, joins, heap: BinaryHeap::new(), error_sq: 0.0, options };
+    let (heap, limit, error_sq) = (BinaryHeap::new(), f32::INFINITY, 0.0);
+    let mut tail = Tail { becomes, left, surface, overlay, joins, heap, limit, error_sq, options };
     if options.policies.primitive == Primitive::Face {
         tail.surface.costs = Vec::new();
         tail.contract_faces(progress)?;
@@ -79,7 +83,7 @@ pub(super) fn finish<S: Coordinate>(
         let advanced = tail.left < before;
         folded |= need >= Need::Fold && advanced;
         need = match need {
-            _ if advanced => Need::None,
+            _ if advanced || tail.limit < f32::INFINITY => Need::None,
             Need::None if tail.surface.holds_seams() => {
                 tail.surface.seams_give_way = true;
                 Need::Seams
@@ -111,6 +115,8 @@ pub(super) struct Tail<'a, S> {
     pub overlay: Overlay,
     joins: Joins,
     heap: BinaryHeap<Entry>,
+    /// What edges of the heap cost at most: there may be others that cost more.
+    limit: f32,
     /// The vertex that each one was merged into, or itself.
     becomes: Vec<u32>,
     /// Faces that are left.
@@ -121,16 +127,23 @@ pub(super) struct Tail<'a, S> {
 }
 
 impl<S: Coordinate> Tail<'_, S> {
-    /// Every edge, at the cost that the rounds have kept of it where nothing has changed since.
+    /// Every edge, at the cost that the rounds have kept of it where nothing has changed since; but where they have kept
+    /// costs only the cheaper ones, which should do.
     fn fill_heap(&mut self) {
         let mut entries = Vec::new();
         let kept = std::mem::take(&mut self.surface.costs);
+        let enough = EDGES_A_FACE * (self.left - self.options.target) as u64;
+        let all = kept.is_empty() || 2 * enough > self.left as u64;
+        self.limit = if all { f32::INFINITY } else { limit(kept.as_flattened(), enough) };
         for (f, face) in self.surface.faces.iter().enumerate() {
             if face[0] == NONE {
                 continue;
             }
             for i in 0..3 {
                 let (a, b) = (face[i], face[(i + 1) % 3]);
+                if kept.get(f).is_some_and(|costs| self.limit < costs[i] && costs[i] < REFUSED) {
+                    continue;
+                }
                 let first = || self.surface.shared(&self.overlay, a, b).min() == Some(f as u32);
                 if a < b || self.surface.answers_for(a, b) && first() {
                     // One that was refused is asked again: its neighbours may have gone since.
@@ -174,6 +187,9 @@ impl<S: Coordinate> Tail<'_, S> {
                 progress.check()?;
             }
             let Some(Reverse((cost, (_, a, b)))) = self.heap.pop() else { return Ok(()) };
+            if f32::from_bits(cost) > self.limit {
+                return Ok(());
+            }
             let shared = self.surface.shared(&self.overlay, a, b).count();
             if shared == 0 && !self.joined(a, b) || !self.alive(a) || !self.alive(b) {
                 continue;
