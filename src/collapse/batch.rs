@@ -194,16 +194,15 @@ impl<S: Coordinate> Batch<S> {
         }
         let was = face.map(|v| surface.positions[v as usize]);
         let mut would = was;
-        let mut blamed = None;
-        for i in 0..3 {
-            if leaders[i] != NONE {
-                would[i] = self.spots[leaders[i] as usize];
-                let leads = face[i] == leaders[i];
-                blamed = blamed.max(Some((!leads, hash(leaders[i], face[i]), face[i])));
-            }
+        for (spot, leader) in would.iter_mut().zip(leaders).filter(|(_, leader)| *leader != NONE) {
+            *spot = self.spots[leader as usize];
         }
         let normal = |p: [[S; 3]; 3]| step(p[0], p[1]).cross(step(p[0], p[2]));
-        turned(normal(was), normal(would)).then_some(blamed?.2)
+        if !turned(normal(was), normal(would)) {
+            return None;
+        }
+        let those = face.iter().zip(leaders).filter(|(_, leader)| *leader != NONE);
+        those.max_by_key(|(v, leader)| (*v != leader, hash(*leader, **v), **v)).map(|(v, _)| *v)
     }
 
     /// The memory of the groups' order, once they are merged: the vertices' new numbers, then.

@@ -77,12 +77,19 @@ impl<S: Coordinate> Surface<S> {
             && !S::DOUBLE
     }
 
-    /// The faces at both `a` and `b`, if they are two.
+    /// The faces at both `a` and `b`, if they are two. Which of a star's they are no processor can predict, so they are found
+    /// without a branch.
     #[inline(always)]
     fn sides(&self, a: u32, b: u32) -> Option<[u32; 2]> {
-        let mut shared = self.shared(&self.stars, a, b);
-        let sides = [shared.next()?, shared.next()?];
-        shared.next().is_none().then_some(sides)
+        let (mut first, mut last, mut count) = (u32::MAX, 0, 0);
+        for &corner in self.stars.of(a) {
+            let (f, (p, q)) = (corner >> 2, self.ends(corner));
+            let has_b = (p == b) | (q == b);
+            first = first.min(if has_b { f } else { u32::MAX });
+            last = if has_b { f } else { last };
+            count += u32::from(has_b);
+        }
+        (count == 2).then_some([first, last])
     }
 
     #[inline(always)]

@@ -9,13 +9,12 @@ use crate::error::Result;
 use crate::scratch::ScratchFile;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use std::ops::Range;
 
 /// Levels that samples are told apart by.
 pub const LEVELS: usize = 32;
 
-/// Records that are read at a time: 256 KiB, which stay near.
-const AT_ONCE: usize = 1 << 14;
+/// Records of a block, which are read at a time: 256 KiB, which stay near.
+const AT_ONCE: u64 = 1 << 14;
 
 /// The vertex of a sample that is nowhere near one.
 const NONE: u32 = u32::MAX;
@@ -26,10 +25,10 @@ const NONE: u32 = u32::MAX;
 pub struct SurfaceSample {
     /// The cell that it is near to, later the vertex.
     pub near: u32,
-    /// Three times 21 bits of place on the lattice, the upper and the lower half.
-    at: [u32; 2],
     /// The normal's direction, folded onto an octahedron.
     normal: [i16; 2],
+    /// Three times 21 bits of place on the lattice, the lower and the upper half.
+    at: [u32; 2],
 }
 
 /// Bytes of a sample.
@@ -56,14 +55,13 @@ impl SurfaceSample {
     }
 
     fn place(&self) -> u64 {
-        u64::from(self.at[0]) << 32 | u64::from(self.at[1])
+        u64::from(self.at[1]) << 32 | u64::from(self.at[0])
     }
 
-    /// All that it is, but for what it is near to: one number, which is compared without a branch.
+    /// All that it is, its place first, what it is near to last: one number, which is compared without a branch.
     #[inline]
     fn key(&self) -> u128 {
-        let [x, y] = self.normal.map(|t| u128::from(t.cast_unsigned() ^ 1 << 15));
-        u128::from(self.place()) << 32 | x << 16 | y
+        u128::from_le(bytemuck::cast(*self))
     }
 
     /// The direction of its face's normal, between 0.57 and 1 long.
@@ -107,7 +105,7 @@ impl Lattice {
     fn place(&self, steps: DVec3) -> Option<[u32; 2]> {
         let inside = steps.cmpge(DVec3::ZERO).all() && steps.cmplt(DVec3::splat(f64::from(1 << BITS))).all();
         let place = || steps.to_array().iter().fold(0, |place, x| place << BITS | u64::from(*x as u32));
-        inside.then(|| [(place() >> 32) as u32, place() as u32])
+        inside.then(|| [place() as u32, (place() >> 32) as u32])
     }
 
     /// A sample's position in the frame.
@@ -174,15 +172,25 @@ impl SampleFile {
         let count = vertices.iter().filter(|v| **v != NONE).max().map_or(0, |v| *v as usize + 1);
         let threads = groups::ranges();
         // Where the samples of a vertex begin: counted first, a part of the file a thread, so that each is read straight to
-        // where it belongs.
-        let part = self.written.div_ceil(threads as u64);
+        // where it belongs. And between which vertices those of a block are.
+        let part = self.written.div_ceil(AT_ONCE).div_ceil(threads as u64) * AT_ONCE;
         let counted = |i: usize| {
-            let begin = (i as u64 * part).min(self.written);
-            let mut counts = vec![0u32; count];
-            let part = begin..(begin + part).min(self.written);
-            self.read(part, level, vertices, |sample| counts[sample.near as usize] += 1).map(|()| counts)
+            let begin = i as u64 * part;
+            let blocks = (begin..self.written.min(begin + part)).step_by(AT_ONCE as usize);
+            let (mut counts, mut spans) = (vec![0u32; count], Vec::new());
+            self.read(blocks, level, vertices, |samples| {
+                let mut span = (NONE, 0);
+                for sample in samples {
+                    counts[sample.near as usize] += 1;
+                    span = (span.0.min(sample.near), span.1.max(sample.near));
+                }
+                spans.push(span);
+            })?;
+            Ok((counts, spans))
         };
-        let parts: Vec<Vec<u32>> = (0..threads).into_par_iter().with_max_len(1).map(counted).collect::<Result<_>>()?;
+        let (parts, spans): (Vec<Vec<u32>>, Vec<Vec<(u32, u32)>>) =
+            (0..threads).into_par_iter().with_max_len(1).map(counted).collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        let spans = spans.concat();
         let mut first = Vec::with_capacity(count + 1);
         let mut all = 0;
         first.push(0);
@@ -191,7 +199,8 @@ impl SampleFile {
             all
         }));
         drop(parts);
-        // Then each thread goes through all of it for the samples of its vertices.
+        // Then each thread goes through all of it for the samples of its vertices: in a scan in sensible order, that is its
+        // share of the blocks.
         let mut samples: Vec<SurfaceSample> = bytemuck::zeroed_vec(all as usize);
         let mut rest = samples.as_mut_slice();
         let mut tasks = Vec::with_capacity(threads);
@@ -201,15 +210,20 @@ impl SampleFile {
             let end = if task < threads { first.partition_point(|first| *first < share).max(begin) } else { count };
             let first = &first[begin..=end];
             let (own, later) = rest.split_at_mut((first[first.len() - 1] - first[0]) as usize);
-            tasks.push((begin as u32, first, own));
+            tasks.push((begin as u32..end as u32, first, own));
             (rest, begin) = (later, end);
         }
-        tasks.into_par_iter().with_max_len(1).try_for_each(|(begin, first, own)| {
+        tasks.into_par_iter().with_max_len(1).try_for_each(|(of, first, own)| {
             let mut next = first[..first.len() - 1].to_vec();
-            self.read(0..self.written, level, vertices, |sample| {
-                if let Some(next) = next.get_mut(sample.near.wrapping_sub(begin) as usize) {
-                    own[(*next - first[0]) as usize] = sample;
-                    *next += 1;
+            let mut spans = spans.iter();
+            let has_own = |_: &u64| spans.next().is_some_and(|(least, most)| *least < of.end && of.start <= *most);
+            let blocks = (0..self.written).step_by(AT_ONCE as usize).filter(has_own);
+            self.read(blocks, level, vertices, |samples| {
+                for sample in samples {
+                    if let Some(next) = next.get_mut(sample.near.wrapping_sub(of.start) as usize) {
+                        own[(*next - first[0]) as usize] = sample;
+                        *next += 1;
+                    }
                 }
             })
         })?;
@@ -217,20 +231,41 @@ impl SampleFile {
         Ok(SurfaceSamples { samples, lattice: self.lattice, area: self.area * f64::from(level).exp2() })
     }
 
-    /// Reads those of a part that are near a vertex and of `level` or above.
-    fn read(&self, part: Range<u64>, level: u32, vertices: &[u32], mut take: impl FnMut(SurfaceSample)) -> Result<()> {
-        let mut records: Vec<SurfaceSample> = bytemuck::zeroed_vec(AT_ONCE);
-        for first in part.clone().step_by(AT_ONCE) {
-            let records = &mut records[..(part.end - first).min(AT_ONCE as u64) as usize];
+    /// Reads the blocks that begin there: those of their samples that are near a vertex and of `level` or above.
+    fn read(
+        &self,
+        blocks: impl Iterator<Item = u64>,
+        level: u32,
+        vertices: &[u32],
+        mut take: impl FnMut(Block),
+    ) -> Result<()> {
+        let mut records: Vec<SurfaceSample> = bytemuck::zeroed_vec(AT_ONCE as usize);
+        for first in blocks {
+            let records = &mut records[..(self.written - first).min(AT_ONCE) as usize];
             self.file.read_exact_at(bytemuck::cast_slice_mut(records), first * SAMPLE_BYTES as u64)?;
-            for sample in records {
-                let near = vertices.get(sample.near as usize).copied().unwrap_or(NONE);
-                if near != NONE && (level == 0 || sample.level() >= level) {
-                    take(SurfaceSample { near, ..*sample });
-                }
-            }
+            take(Block { records: records.iter(), level, vertices });
         }
         Ok(())
+    }
+}
+
+/// Samples of a block that are near a vertex and of `level` or above, each with its vertex.
+struct Block<'a> {
+    records: std::slice::Iter<'a, SurfaceSample>,
+    level: u32,
+    vertices: &'a [u32],
+}
+
+impl Iterator for Block<'_> {
+    type Item = SurfaceSample;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<SurfaceSample> {
+        self.records.by_ref().find_map(|sample| {
+            let near = self.vertices.get(sample.near as usize).copied().unwrap_or(NONE);
+            let counts = near != NONE && (self.level == 0 || sample.level() >= self.level);
+            counts.then_some(SurfaceSample { near, ..*sample })
+        })
     }
 }
 
@@ -324,5 +359,21 @@ mod tests {
         assert!(some.area == 4.0 && (400..560).contains(&some.samples.len()), "{}", some.samples.len());
         assert!(some.samples.iter().all(|s| all.samples.contains(s) && s.level() >= 1));
         assert_eq!(kept.load(0, &homes).unwrap().samples.len(), 0);
+    }
+
+    #[test]
+    fn loading_many_blocks_is_sorting() {
+        let folder = tempfile::tempdir().unwrap();
+        // Each vertex in blocks of its own or two, and every one in all of them.
+        for near in [|k: u32| k / 9000, |k: u32| k % 7] {
+            let made: Vec<SurfaceSample> =
+                (0..60_000).map(|k| SurfaceSample { near: near(k), ..sample(k * 7 % 1000) }).collect();
+            let file = Scratch::in_folder(folder.path()).file().unwrap();
+            file.write_all_at(bytemuck::cast_slice(&made), 0).unwrap();
+            let kept = SampleFile { file, written: 60_000, levels: [0; LEVELS], lattice: lattice(), area: 2.0 };
+            let loaded = kept.load(60_000, &[6, 5, 4, 3, 2, 1, 0]).unwrap();
+            let placed = made.iter().map(|sample| SurfaceSample { near: 6 - sample.near, ..*sample }).collect();
+            assert!(loaded.samples == SurfaceSamples::sorted(placed, lattice(), 2.0).samples);
+        }
     }
 }
