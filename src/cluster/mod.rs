@@ -6,9 +6,9 @@
 //! After Lindstrom, *Out-of-core simplification of large polygonal models* (2000), and Garland's thesis, §7.1.3.
 //!
 //! Passes over the scan: extent and a count of cells (`survey.rs`), unless binning's own count will do
-//! ([`ClusterOptions::enough_cells`]); vertices to the spill (`spill.rs`); faces to sums
-//! and survivors (`faces.rs`, `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more
-//! (`border.rs`). A soup has no vertex pass: corners are binned as they come.
+//! ([`ClusterOptions::enough_cells`]); vertices to the spill (`spill.rs`); faces to sums and survivors (`faces.rs`,
+//! `sums.rs`, `survivors.rs`); where the scan has open borders, faces once more (`border.rs`). A soup has no vertex pass:
+//! corners are binned as they come.
 //!
 //! **Promises.** The result depends on the scan and the options alone, not on threads, nor on the order of faces or
 //! vertices beyond the sample that sizes the cells: sums are integers, cells are numbered in Morton order, survivors

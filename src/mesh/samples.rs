@@ -188,8 +188,8 @@ impl SampleFile {
             })?;
             Ok((counts, spans))
         };
-        let (parts, spans): (Vec<Vec<u32>>, Vec<Vec<(u32, u32)>>) =
-            (0..threads).into_par_iter().with_max_len(1).map(counted).collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        let parts: Vec<_> = (0..threads).into_par_iter().with_max_len(1).map(counted).collect::<Result<_>>()?;
+        let (parts, spans): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
         let spans = spans.concat();
         let mut first = Vec::with_capacity(count + 1);
         let mut all = 0;
