@@ -70,6 +70,11 @@ impl Scratch {
         Ok(ScratchFile { file, length: AtomicU64::new(0), scratch: self.clone() })
     }
 
+    /// Bytes that the quota leaves now.
+    pub fn left(&self) -> u64 {
+        self.quota_bytes.saturating_sub(self.counts.held.load(Relaxed))
+    }
+
     /// The most bytes that scratch files have held at one time.
     pub fn bytes(&self) -> u64 {
         self.counts.peak.load(Relaxed)
@@ -174,11 +179,13 @@ mod tests {
         let scratch = Scratch::in_folder(folder.path()).with_quota(1000);
         let (one, two) = (scratch.file().unwrap(), scratch.file().unwrap());
         one.write_all_at(&[1; 600], 0).unwrap();
+        assert_eq!(scratch.left(), 400);
         two.write_all_at(&[2; 400], 0).unwrap();
         one.write_all_at(&[3; 600], 0).unwrap();
         let error = two.write_all_at(&[2; 1], 400).unwrap_err();
         assert!(error.to_string().ends_with("more than the quota of 1MiB is needed"), "{error}");
         drop(one);
+        assert_eq!(scratch.left(), 599);
         let three = scratch.file().unwrap();
         three.write_all_at(&[2; 500], 0).unwrap();
     }

@@ -2,8 +2,10 @@
 //!
 //! An indexed scan's vertices are binned once, into the [`Spill`]; a face then gathers its corners there: from memory
 //! when the spill is resident, through a page cache when faces come in an order that keeps to a few pages, and by a
-//! join through buckets on scratch when they do not. A soup's corners are binned as they come.
+//! join through buckets on scratch when they do not. Faces out of order are put into buckets for a resident spill, too,
+//! if that brings their corners together. A soup's corners are binned as they come.
 
+use super::buckets::{self, Buckets};
 use super::grid::{Corner, Grid};
 use super::join;
 use super::spill::{PageCache, Spill, SpillFile};
@@ -21,7 +23,8 @@ pub(super) const BATCH: usize = 512;
 const AT_ONCE: usize = 64;
 
 /// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
-pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + (16 << 10) * size_of::<Corner>();
+pub(super) const FEED_BYTES: usize =
+    BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + (16 << 10) * size_of::<Corner>() + buckets::reader_bytes(3);
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {
@@ -34,6 +37,8 @@ pub(super) trait Sink: Send {
 pub(super) enum Corners<'a> {
     /// From memory.
     Resident { all: &'a [AtomicU64], coherent: bool },
+    /// From memory, for faces from buckets.
+    Sorted(&'a [AtomicU64], &'a Buckets),
     /// From a spill file through a page cache a worker.
     Paged(&'a SpillFile),
     /// From a spill file by a join that may hold `resident_bytes` of it.
@@ -185,6 +190,15 @@ pub(super) fn stream<'u, K: Sink>(
                 Ok(())
             },
         )?,
+        Corners::Sorted(all, buckets) => {
+            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used)).collect();
+            feeds[0].repeated = buckets.repeated;
+            buckets.stream(crew, &mut feeds, |feed, triangles| {
+                let mut corner = |v: u32| Ok(Corner(all[v as usize].load(Relaxed)));
+                triangles.iter().try_for_each(|triangle| feed.gather(*triangle, &mut corner))
+            })?;
+            feeds
+        }
         Corners::Paged(spill) => {
             let worker = || (Feed::new(sink(), used), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {

@@ -7,6 +7,7 @@
 //! passed. Buckets finer than ranges cost nothing and keep faces that are close together, whose cells then stay in the
 //! caches.
 
+use super::buckets::{self, Buckets, Run, Writer};
 use super::corners::{Feed, Sink};
 use super::grid::Corner;
 use super::spill::SpillFile;
@@ -14,20 +15,11 @@ use super::used::Used;
 use crate::cores;
 use crate::error::Result;
 use crate::read::{Crew, Scan};
-use crate::scratch::{Scratch, ScratchFile};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use crate::scratch::Scratch;
 
-/// Buckets at most: each is an open file, and a buffer a worker.
-const BUCKETS: u64 = 256;
-/// Words of a buffer: 8 KiB.
-const BUFFER: usize = 2048;
-/// Records that a worker reads at a time.
-const RUN: usize = 8192;
-
-/// Bytes that a worker of a join holds: buffers while faces are partitioned; then a run of records, and buffers for
+/// Bytes that a worker of a join holds: buffers while faces are put into buckets; then a block of records, and buffers for
 /// those that wait at ranges further up, of which there are fewer.
-pub(super) const WORKER_BYTES: usize = BUCKETS as usize * BUFFER * 4 + RUN * WORDS[2] * 4;
+pub(super) const WORKER_BYTES: usize = buckets::WRITER_BYTES + buckets::reader_bytes(WORDS[2]);
 
 /// How vertices are cut up.
 #[derive(Debug, Clone, Copy)]
@@ -41,7 +33,7 @@ struct Cut {
 
 impl Cut {
     fn new(vertices: u64, resident_bytes: u64) -> Self {
-        let bucket_bits = vertices.div_ceil(BUCKETS).next_power_of_two().trailing_zeros();
+        let bucket_bits = buckets::bucket_bits(vertices);
         let buckets_a_range = ((resident_bytes / 8) >> bucket_bits).max(1);
         Cut { vertices, bucket_bits, buckets_a_range }
     }
@@ -52,10 +44,6 @@ impl Cut {
 
     fn ranges(&self) -> usize {
         (self.buckets() as u64).div_ceil(self.buckets_a_range) as usize
-    }
-
-    fn bucket(&self, vertex: u32) -> usize {
-        (vertex >> self.bucket_bits) as usize
     }
 
     fn range(&self, vertex: u32) -> usize {
@@ -74,64 +62,6 @@ impl Cut {
 /// the others. Turning a face so keeps its orientation.
 const WORDS: [usize; 3] = [3, 4, 5];
 
-/// Records of one kind on scratch; the file is made when the first come.
-#[derive(Default)]
-struct Run(Mutex<Option<ScratchFile>>);
-
-impl Run {
-    fn append(&self, words: &[u32], scratch: &Scratch) -> Result<()> {
-        let mut file = self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let file = match &mut *file {
-            Some(file) => file,
-            none => none.insert(scratch.file()?),
-        };
-        file.write_all_at(bytemuck::cast_slice(words), file.length())
-    }
-
-    /// The file, if there is one. Its space is free once it is dropped.
-    fn take(&self) -> Option<ScratchFile> {
-        self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()
-    }
-}
-
-/// A worker's buffers in front of runs.
-struct Buffers<'a> {
-    runs: &'a [Run],
-    scratch: &'a Scratch,
-    buffers: Vec<Vec<u32>>,
-}
-
-impl<'a> Buffers<'a> {
-    fn new(runs: &'a [Run], scratch: &'a Scratch) -> Self {
-        Buffers { runs, scratch, buffers: vec![Vec::new(); runs.len()] }
-    }
-
-    #[inline(always)]
-    fn push(&mut self, run: usize, record: &[u32]) -> Result<()> {
-        if self.buffers[run].len() + record.len() > BUFFER {
-            self.flush_one(run)?;
-        }
-        self.buffers[run].extend_from_slice(record);
-        Ok(())
-    }
-
-    fn flush_one(&mut self, run: usize) -> Result<()> {
-        self.runs[run].append(&self.buffers[run], self.scratch)?;
-        self.buffers[run].clear();
-        self.buffers[run].reserve_exact(BUFFER);
-        Ok(())
-    }
-
-    fn flush(&mut self) -> Result<()> {
-        for run in 0..self.runs.len() {
-            if !self.buffers[run].is_empty() {
-                self.flush_one(run)?;
-            }
-        }
-        Ok(())
-    }
-}
-
 /// Streams every face of an indexed scan to sinks, with at most `resident_bytes` of the spill in memory (or a 256th of
 /// it, if that is more).
 pub(super) fn stream<'u, K: Sink>(
@@ -143,7 +73,7 @@ pub(super) fn stream<'u, K: Sink>(
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<'u, K>>> {
     let cut = Cut::new(spill.vertices(), resident_bytes);
-    let waiting = partition(scan, crew, cut, scratch)?;
+    let mut waiting = Buckets::fill(scan, crew, scratch)?;
     let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used)).collect();
     feeds[0].repeated = waiting.repeated;
     let partial: [Vec<Run>; 2] = std::array::from_fn(|_| (0..cut.ranges()).map(|_| Run::default()).collect());
@@ -152,49 +82,19 @@ pub(super) fn stream<'u, K: Sink>(
         crew.progress.check()?;
         let (first, count) = cut.span(range);
         load(spill, first, &mut corners[..count], crew.workers)?;
-        let buckets = range as u64 * cut.buckets_a_range..(range as u64 + 1) * cut.buckets_a_range;
-        let mut files = Vec::new();
-        for run in (waiting.buckets.iter()).take(buckets.end as usize).skip(buckets.start as usize) {
-            files.extend(run.take().map(|file| (0, file)));
-        }
-        for known in 1..3 {
-            files.extend(partial[known - 1][range].take().map(|file| (known, file)));
-        }
-        let sweep =
-            Sweep { cut, range, first: first as u32, corners: &corners[..count], files, partial: &partial, scratch };
-        sweep.run(crew, &mut feeds)?;
+        let buckets = waiting.files.iter_mut().skip(range * cut.buckets_a_range as usize);
+        let whole = buckets.take(cut.buckets_a_range as usize).filter_map(Option::take).map(|file| (WORDS[0], file));
+        let begun = (1..3).filter_map(|known| Some((WORDS[known], partial[known - 1][range].take()?)));
+        let files: Vec<_> = whole.chain(begun).collect();
+        let sweep = Sweep { cut, range, first: first as u32, corners: &corners[..count] };
+        let onward = || partial.each_ref().map(|runs| Writer::new(runs, scratch));
+        let mut workers: Vec<_> = feeds.iter_mut().map(|feed| (feed, onward())).collect();
+        buckets::read(&files, crew, &mut workers, |(feed, onward), words, records| {
+            records.chunks_exact(words).try_for_each(|record| sweep.resolve(record, words - WORDS[0], feed, onward))
+        })?;
+        workers.into_iter().flat_map(|(_, onward)| onward).try_for_each(Writer::finish)?;
     }
     Ok(feeds)
-}
-
-/// Faces by the bucket of their least vertex.
-struct Partition {
-    buckets: Vec<Run>,
-    repeated: u64,
-}
-
-fn partition(scan: &Scan, crew: &Crew, cut: Cut, scratch: &Scratch) -> Result<Partition> {
-    let buckets: Vec<Run> = (0..cut.buckets()).map(|_| Run::default()).collect();
-    let workers = scan.triangles(
-        crew,
-        || (Buffers::new(&buckets, scratch), 0),
-        |(buffers, repeated), chunk| {
-            for &[a, b, c] in chunk.triangles {
-                if a == b || b == c || c == a {
-                    *repeated += 1;
-                } else {
-                    buffers.push(cut.bucket(a.min(b).min(c)), &[a, b, c])?;
-                }
-            }
-            Ok(())
-        },
-    )?;
-    let mut repeated = 0;
-    for (mut buffers, r) in workers {
-        buffers.flush()?;
-        repeated += r;
-    }
-    Ok(Partition { buckets, repeated })
 }
 
 /// Loads consecutive corners, a share a worker.
@@ -219,61 +119,16 @@ struct Sweep<'a> {
     range: usize,
     first: u32,
     corners: &'a [Corner],
-    /// Corners known a record, and where the records are.
-    files: Vec<(usize, ScratchFile)>,
-    /// Faces with one and with two corners known, by the range where they wait.
-    partial: &'a [Vec<Run>; 2],
-    scratch: &'a Scratch,
 }
 
 impl Sweep<'_> {
-    fn run<K: Sink>(&self, crew: &Crew, feeds: &mut [Feed<'_, K>]) -> Result<()> {
-        let next = AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            let (next, count) = (&next, feeds.len());
-            let workers: Vec<_> = (feeds.iter_mut().enumerate())
-                .map(|(worker, feed)| {
-                    scope.spawn(move || {
-                        cores::keep(worker, count);
-                        self.work(crew, feed, next)
-                    })
-                })
-                .collect();
-            workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-        })
-    }
-
-    fn work<K: Sink>(&self, crew: &Crew, feed: &mut Feed<'_, K>, next: &AtomicUsize) -> Result<()> {
-        let mut onward = [0, 1].map(|k: usize| Buffers::new(&self.partial[k], self.scratch));
-        let mut words = Vec::new();
-        let mut turn = next.fetch_add(1, Relaxed);
-        let mut before = 0;
-        for (known, file) in &self.files {
-            let total = (file.length() / 4) as usize;
-            let run = RUN * WORDS[*known];
-            let runs = total.div_ceil(run);
-            while turn < before + runs {
-                crew.progress.check()?;
-                let start = (turn - before) * run;
-                words.resize(run.min(total - start), 0u32);
-                file.read_exact_at(bytemuck::cast_slice_mut(&mut words), start as u64 * 4)?;
-                for record in words.chunks_exact(WORDS[*known]) {
-                    self.resolve(record, *known, feed, &mut onward)?;
-                }
-                turn = next.fetch_add(1, Relaxed);
-            }
-            before += runs;
-        }
-        onward.iter_mut().try_for_each(Buffers::flush)
-    }
-
     #[inline(always)]
     fn resolve<K: Sink>(
         &self,
         record: &[u32],
         known: usize,
         feed: &mut Feed<'_, K>,
-        onward: &mut [Buffers; 2],
+        onward: &mut [Writer; 2],
     ) -> Result<()> {
         let mut face = [Corner::NOWHERE; 3];
         for (i, corner) in face[..known].iter_mut().enumerate() {

@@ -34,10 +34,11 @@
 //!
 //! beside 12 bytes for each of `raw_faces` (of which borders are given what survivors leave) and, until placement, up to
 //! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12 to 28 more a
-//! face. A scan whose survivors, borders or overflowing sums need more than that is clustered again, coarser, or in
-//! more passes.
+//! face, buckets in front of a resident spill 12 (`buckets.rs`). A scan whose survivors, borders or overflowing sums need
+//! more than that is clustered again, coarser, or in more passes.
 
 mod border;
+mod buckets;
 mod corners;
 mod faces;
 mod grid;
@@ -59,6 +60,7 @@ use crate::quadric::PackedQuadric;
 use crate::read::{Crew, Layout, Scan};
 use crate::scratch::Scratch;
 use border::{BorderWorker, Borders};
+use buckets::Buckets;
 use corners::{Corners, Feed};
 use faces::FaceWorker;
 use grid::{Grid, Place};
@@ -225,11 +227,18 @@ pub fn cluster<S: Coordinate>(
     options: &ClusterOptions,
 ) -> Result<Clustered<S>> {
     let sample = scan.sample(crew, SAMPLE)?;
-    let coherent = sample.blocks_per_triangle < COHERENT;
+    let order = match (sample.blocks_per_triangle < COHERENT, sample.wide_triangles < WIDE) {
+        (true, _) => Order::Sensible,
+        (false, true) => Order::ShuffledFaces,
+        (false, false) => Order::Shuffled,
+    };
     let (place, mut sizing) = survey::survey::<S>(scan, crew, &sample, (options.cells, options.enough_cells))?;
     drop(sample);
     let stats = ClusterStats::default();
-    let mut run = Run { scan, crew, scratch, options, place, coherent, coarser_weights: 1.0, stats };
+    let mut run = Run { scan, crew, scratch, options, place, order, buckets: None, coarser_weights: 1.0, stats };
+    if order == Order::ShuffledFaces && run.has_room_for_buckets() {
+        run.buckets = Buckets::fill(scan, crew, scratch).map(Some).or_else(|error| run.without_buckets(error))?;
+    }
     let learnt = loop {
         run.stats.attempts += 1;
         if let Some(learnt) = run.attempt(&mut sizing)? {
@@ -244,8 +253,21 @@ pub fn cluster<S: Coordinate>(
 const SAMPLE: usize = 20_000;
 /// Blocks of 512 vertices that a face touches in a scan in sensible order, at most.
 const COHERENT: f64 = 0.3;
+/// Share of triangles that are wider than a bucket in a scan whose vertices are in sensible order, at most.
+const WIDE: f64 = 0.5;
 /// Overflows after which cells double.
 const PATIENCE: u32 = 3;
+
+/// In what order a scan is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Order {
+    /// Neighbours in the file are neighbours in space.
+    Sensible,
+    /// That holds for vertices, not for faces.
+    ShuffledFaces,
+    /// Nor for vertices.
+    Shuffled,
+}
 
 /// A clustering under way.
 struct Run<'a> {
@@ -254,7 +276,9 @@ struct Run<'a> {
     scratch: &'a Scratch,
     options: &'a ClusterOptions,
     place: Place,
-    coherent: bool,
+    order: Order,
+    /// For a spill that is resident, if that is worth while.
+    buckets: Option<Buckets>,
     /// What the unit of weight is to be multiplied by.
     coarser_weights: f64,
     stats: ClusterStats,
@@ -282,12 +306,12 @@ impl Run<'_> {
         let room = room(self.options.cells);
         let mut table = CellTable::new(room);
         let used = Used::within(self.scan, self.options.spill_resident_bytes);
-        let resident_bytes = self.options.spill_resident_bytes - used.bytes();
+        let resident_bytes = self.spill_resident_bytes();
         let (mut spill, mut ranks) = (None, Vec::new());
         let mut cells = sizing.occupied(grid.cell).max(1.0);
         if self.scan.layout() == Layout::Indexed {
             let s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
-            corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.coherent, &s)?;
+            corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.order != Order::Shuffled, &s)?;
             if table.is_full() {
                 drop((table, s));
                 return self.overflowed(&grid, sizing);
@@ -312,9 +336,10 @@ impl Run<'_> {
                 Some(Sampler::new((&grid, &table), lattice, area, wanted, self.scratch)?)
             }
         };
+        let coherent = self.order == Order::Sensible;
         let worker = || {
             let samples = sampler.as_ref().map(SampleWorker::new);
-            FaceWorker::new(&table, &sums, &survivors, samples, quantum, self.coherent)
+            FaceWorker::new(&table, &sums, &survivors, samples, quantum, coherent)
         };
         let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &used, worker)?;
         self.check(&feeds)?;
@@ -366,12 +391,31 @@ impl Run<'_> {
         None
     }
 
+    /// What the account of used vertices leaves for binned ones.
+    fn spill_resident_bytes(&self) -> u64 {
+        let bytes = self.options.spill_resident_bytes;
+        bytes - Used::bytes_within(self.scan, bytes)
+    }
+
+    /// Whether binned vertices are resident and faces in buckets leave half of scratch to others.
+    fn has_room_for_buckets(&self) -> bool {
+        Spill::is_resident(self.scan.vertex_count(), self.spill_resident_bytes())
+            && self.scan.triangle_count().saturating_mul(buckets::FACE_BYTES) <= self.scratch.left() / 2
+    }
+
+    /// A disk that is full is no reason to give up what can be done without buckets; any other error is.
+    fn without_buckets(&self, error: Error) -> Result<Option<Buckets>> {
+        if error.file() == Some(self.scratch.folder()) { Ok(None) } else { Err(error) }
+    }
+
     fn corners<'b>(&'b self, spill: &'b Option<Spill>, grid: &'b Grid, table: &'b CellTable) -> Corners<'b> {
-        match spill {
-            None => Corners::Soup(grid, table),
-            Some(Spill::Resident(all)) => Corners::Resident { all, coherent: self.coherent },
-            Some(Spill::Filed(spill)) if self.coherent => Corners::Paged(spill),
-            Some(Spill::Filed(spill)) => {
+        let coherent = self.order == Order::Sensible;
+        match (spill, &self.buckets) {
+            (None, _) => Corners::Soup(grid, table),
+            (Some(Spill::Resident(all)), Some(buckets)) => Corners::Sorted(all, buckets),
+            (Some(Spill::Resident(all)), None) => Corners::Resident { all, coherent },
+            (Some(Spill::Filed(spill)), _) if coherent => Corners::Paged(spill),
+            (Some(Spill::Filed(spill)), _) => {
                 let resident_bytes = self.options.spill_resident_bytes;
                 Corners::Joined { spill, scratch: self.scratch, resident_bytes }
             }
@@ -412,7 +456,7 @@ impl Run<'_> {
             corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &Used::nothing(), worker)?;
             borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
-        drop(spill);
+        drop((spill, self.buckets.take()));
         self.stats.scratch_bytes = self.scratch.bytes();
         table.keep_keys();
         let cells = compact(&mut triples, ranks);

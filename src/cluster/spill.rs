@@ -31,9 +31,14 @@ pub(super) struct SpillFile {
 }
 
 impl Spill {
+    /// Whether a spill for `vertices` vertices is resident: if they take at most `resident_bytes`.
+    pub(super) fn is_resident(vertices: u64, resident_bytes: u64) -> bool {
+        vertices.saturating_mul(8) <= resident_bytes
+    }
+
     /// A spill for `vertices` vertices, resident if they take at most `resident_bytes`.
     pub(super) fn new(vertices: u64, resident_bytes: u64, scratch: &Scratch) -> Result<Self> {
-        if vertices.saturating_mul(8) <= resident_bytes {
+        if Spill::is_resident(vertices, resident_bytes) {
             return Ok(Spill::Resident(bytemuck::zeroed_vec(vertices as usize)));
         }
         Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices }))

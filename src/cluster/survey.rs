@@ -238,7 +238,7 @@ mod tests {
     fn what_is_astray_is_not_the_bulk() {
         let mut triangles = vec![[[0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [0.0, 1.0, 1.0]]; 1000];
         triangles.extend([[[1e9, -1e9, 0.0]; 3]; 10]);
-        let bulk = bulk(&Sample { triangles, blocks_per_triangle: 0.0 });
+        let bulk = bulk(&Sample { triangles, ..Sample::default() });
         assert_eq!((bulk.min.x, bulk.max.z), (-0.5, 3.0));
     }
 }

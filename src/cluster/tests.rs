@@ -67,10 +67,13 @@ fn same(a: &Clustered<f32>, b: &Clustered<f32>) -> bool {
 
 impl Made {
     fn cluster(&self, workers: usize, options: &ClusterOptions) -> Result<Clustered<f32>> {
+        self.cluster_in(&Scratch::in_folder(self.folder.path()), workers, options)
+    }
+
+    fn cluster_in(&self, scratch: &Scratch, workers: usize, options: &ClusterOptions) -> Result<Clustered<f32>> {
         let progress = Progress::default();
         let scan = Scan::open(&self.path, &progress)?;
-        let scratch = Scratch::in_folder(self.folder.path());
-        cluster(&scan, &Crew { workers, progress: &progress }, &scratch, options)
+        cluster(&scan, &Crew { workers, progress: &progress }, scratch, options)
     }
 }
 
@@ -163,7 +166,8 @@ fn integer_sums_are_what_a_naive_loop_sums() {
         scratch: &scratch,
         options: &OPTIONS,
         place,
-        coherent: true,
+        order: Order::Sensible,
+        buckets: None,
         coarser_weights: 1.0,
         stats,
     };
@@ -231,19 +235,38 @@ fn threads_order_and_memory_do_not_change_a_bit() {
     assert_eq!(paged.stats.scratch_bytes, 8 * 60_000);
     assert!((paged.mesh, paged.quadrics) == (resident.mesh, resident.quadrics), "paged");
 
-    // The sample of shuffled faces is another, and so are the cells: it is compared with itself.
+    // The sample of shuffled faces is another, and so are the cells: it is compared with itself. It has a hole, so that
+    // faces are gone through once more.
+    faces.drain(50_000..50_400);
     Random(2).shuffle(&mut faces);
+    faces.insert(1000, [7, 8, 7]);
     let mut names: Vec<u32> = (0..positions.len() as u32).collect();
     Random(3).shuffle(&mut names);
     let mut moved = positions.clone();
     names.iter().zip(&positions).for_each(|(name, p)| moved[*name as usize] = *p);
     let renamed: Vec<[u32; 3]> = faces.iter().map(|f| f.map(|v| names[v as usize])).collect();
     let shuffled = ply(&positions, &faces);
-    let resident = shuffled.cluster(1, &OPTIONS).unwrap();
-    for (made, workers) in [(&shuffled, 1), (&shuffled, 3), (&ply(&moved, &renamed), 2)] {
-        let joined = made.cluster(workers, &tight).unwrap();
-        assert!(joined.stats.scratch_bytes > 12 * 120_000, "{:?}", joined.stats);
-        assert!((joined.mesh, joined.quadrics) == (resident.mesh.clone(), resident.quadrics.clone()), "joined");
+    let folder = tempfile::tempdir().unwrap();
+    let small = Scratch::in_folder(folder.path()).with_quota(1_000_000);
+    let resident = shuffled.cluster_in(&small, 1, &OPTIONS).unwrap();
+    assert_eq!((resident.stats.scratch_bytes, resident.stats.repeated_corner_faces), (0, 1));
+    assert!(resident.stats.border_cells > 0);
+    let nowhere = Scratch::in_folder(&folder.path().join("gone"));
+    assert!(same(&shuffled.cluster_in(&nowhere, 2, &OPTIONS).unwrap(), &resident), "no room for buckets");
+    let renamed = ply(&moved, &renamed);
+    let sorted_bytes = 12 * 119_600;
+    for (made, workers, options, scratch_bytes, how) in [
+        (&shuffled, 1, &OPTIONS, sorted_bytes..sorted_bytes + 1, "in buckets"),
+        (&shuffled, 3, &OPTIONS, sorted_bytes..sorted_bytes + 1, "in buckets"),
+        (&renamed, 2, &OPTIONS, 0..1, "resident"),
+        (&shuffled, 1, &tight, sorted_bytes + 1..u64::MAX, "joined"),
+        (&shuffled, 3, &tight, sorted_bytes + 1..u64::MAX, "joined"),
+        (&renamed, 2, &tight, sorted_bytes + 1..u64::MAX, "joined"),
+    ] {
+        let again = made.cluster(workers, options).unwrap();
+        assert!(scratch_bytes.contains(&again.stats.scratch_bytes), "{how}: {:?}", again.stats);
+        assert_eq!(again.stats.repeated_corner_faces, 1, "{how}");
+        assert!((again.mesh, again.quadrics) == (resident.mesh.clone(), resident.quadrics.clone()), "{how}");
     }
 }
 

@@ -24,16 +24,16 @@ impl Used {
 
     /// For the vertices of an indexed scan if a share of `bytes` holds them.
     pub(super) fn within(scan: &Scan, bytes: u64) -> Self {
-        let needed = bytes_for(scan.vertex_count());
-        let fits = scan.layout() == Layout::Indexed && needed <= bytes / SHARE;
         // Written, since what is looked at first is mapped twice.
-        let words = if fits { (needed / 8) as usize } else { 0 };
+        let words = (Self::bytes_within(scan, bytes) / 8) as usize;
         Used((0..words).into_par_iter().in_pieces(4096).map(|_| AtomicU64::new(0)).collect())
     }
 
-    /// Bytes that it takes.
-    pub(super) fn bytes(&self) -> u64 {
-        8 * self.0.len() as u64
+    /// Bytes that such an account takes.
+    pub(super) fn bytes_within(scan: &Scan, bytes: u64) -> u64 {
+        let needed = bytes_for(scan.vertex_count());
+        let fits = scan.layout() == Layout::Indexed && needed <= bytes / SHARE;
+        if fits { needed } else { 0 }
     }
 
     /// Adds vertices of one word. Nearly all that come are there already, and are not written.

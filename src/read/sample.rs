@@ -15,6 +15,9 @@ const RUN: u64 = 64;
 /// Vertices in a block, as [`Sample::blocks_per_triangle`] counts them.
 const BLOCK: u32 = 512;
 
+/// Into how many parts vertices are cut for [`Sample::wide_triangles`].
+const PARTS: u64 = 256;
+
 /// Vertices that lie this close together are read at once.
 const GAP_BYTES: u64 = 4096;
 
@@ -30,6 +33,10 @@ pub struct Sample {
     /// runs of 64 triangles touch, divided by the triangles. About 0.05 for a scan in coherent order, up to 3 for a
     /// shuffled one, 0 for a soup.
     pub blocks_per_triangle: f64,
+    /// How scattered the vertices of one triangle are: the share of triangles with two that are further apart in number
+    /// than a 256th of all vertices. Nearly 0 where vertices are in a sensible order, nearly 1 where they are shuffled, 0 for
+    /// a soup.
+    pub wide_triangles: f64,
 }
 
 impl Scan {
@@ -37,7 +44,7 @@ impl Scan {
     pub fn sample(&self, crew: &Crew<'_>, triangles: usize) -> Result<Sample> {
         let runs = Runs::new(self.triangle_count(), triangles as u64);
         match &self.body {
-            Body::Stl(stl) => Ok(Sample { triangles: self.sample_soup(crew, stl, &runs)?, blocks_per_triangle: 0.0 }),
+            Body::Stl(stl) => Ok(Sample { triangles: self.sample_soup(crew, stl, &runs)?, ..Sample::default() }),
             _ => {
                 let corners = self.sample_corners(crew, &runs)?;
                 let mut vertices = corners.as_flattened().to_vec();
@@ -46,7 +53,12 @@ impl Scan {
                 let positions = self.positions(crew, &vertices)?;
                 let at = |v: u32| vertices.binary_search(&v).map_or([f64::NAN; 3], |i| positions[i]);
                 let triangles = corners.iter().map(|t| t.map(at)).filter(is_finite).collect();
-                Ok(Sample { triangles, blocks_per_triangle: runs.blocks_per_triangle(&corners) })
+                let blocks_per_triangle = runs.blocks_per_triangle(&corners);
+                let is_wide = |t: &&[u32; 3]| {
+                    u64::from(t[0].max(t[1]).max(t[2]) - t[0].min(t[1]).min(t[2])) * PARTS > self.vertex_count()
+                };
+                let wide_triangles = corners.iter().filter(is_wide).count() as f64 / (corners.len() as f64).max(1.0);
+                Ok(Sample { triangles, blocks_per_triangle, wide_triangles })
             }
         }
     }

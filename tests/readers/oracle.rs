@@ -137,6 +137,8 @@ fn reading_past_the_map_samples_what_a_pass_samples() {
             assert!(sampled.triangles.len() <= about && sampled.triangles.len() + 64 > about);
             let blocks = if scattered { 0.7..1.0 } else { 0.015..0.05 };
             assert!(blocks.contains(&sampled.blocks_per_triangle), "{}", sampled.blocks_per_triangle);
+            let wide = if scattered { 0.9..=1.0 } else { 0.0..=0.0 };
+            assert!(wide.contains(&sampled.wide_triangles), "{}", sampled.wide_triangles);
         }
     }
     let soup: Vec<_> = positions.iter().map(|p| [[p[0], 1.0, 2.0], [0.0; 3], [3.0; 3]]).collect();
@@ -149,6 +151,6 @@ fn reading_past_the_map_samples_what_a_pass_samples() {
     for asked in [1, 700, 100_000] {
         let sampled = sample(&binary_stl(b"", &soup), asked);
         assert_eq!(sampled, sample(ascii_stl("", &soup).as_bytes(), asked));
-        assert_eq!(sampled.blocks_per_triangle, 0.0);
+        assert_eq!((sampled.blocks_per_triangle, sampled.wide_triangles), (0.0, 0.0));
     }
 }
