@@ -29,6 +29,9 @@ struct Report {
     /// Between the sloppy simplifier and the other.
     #[serde(skip_serializing_if = "Option::is_none")]
     sloppy_faces: Option<usize>,
+    /// What the sloppy simplifier took of `algo_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sloppy_s: Option<f64>,
     out_faces: usize,
     read_s: f64,
     algo_s: f64,
@@ -52,7 +55,7 @@ fn main() -> Result<()> {
     if let Some(faces) = sloppy_faces {
         mesh.indices = sloppy(&mesh, faces)?;
     }
-    let sloppy_faces = sloppy_faces.map(|_| mesh.indices.len() / 3);
+    let sloppy = sloppy_faces.map(|_| (mesh.indices.len() / 3, read.elapsed().as_secs_f64()));
     let left = meshopt::simplify_with_update(
         &mut mesh.indices,
         &mut mesh.positions,
@@ -72,7 +75,8 @@ fn main() -> Result<()> {
     ply::write(&args.output, &mesh)?;
     let report = Report {
         in_faces,
-        sloppy_faces,
+        sloppy_faces: sloppy.map(|(faces, _)| faces),
+        sloppy_s: sloppy.map(|(_, seconds)| seconds),
         out_faces: mesh.indices.len() / 3,
         read_s: (read - begun).as_secs_f64(),
         algo_s: (simplified - read).as_secs_f64(),

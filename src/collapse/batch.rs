@@ -9,6 +9,7 @@
 use super::place::optimal;
 use super::surface::{Surface, turned};
 use crate::cores::InPieces;
+use crate::mesh::marked::Marked;
 use crate::mesh::{Coordinate, narrow, step};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -25,15 +26,6 @@ pub(super) struct Batch<S> {
     pub leaders: Vec<AtomicU32>,
     /// Where a leader goes.
     pub spots: Vec<[S; 3]>,
-}
-
-/// What has become of a group that had vertices taken out.
-struct Shrunk<S> {
-    leader: u32,
-    /// Where it goes now, if it still does.
-    spot: Option<[S; 3]>,
-    /// What it was.
-    members: Vec<u32>,
 }
 
 impl<S: Coordinate> Batch<S> {
@@ -111,68 +103,62 @@ impl<S: Coordinate> Batch<S> {
         }
     }
 
-    /// Takes one member out of its group: the leader only with all others.
-    fn part(&self, v: u32, members: &mut Vec<u32>) {
-        let leader = self.leader(v);
-        self.members(leader, members);
-        if v == leader || members.len() == 2 {
-            self.take_back(members);
-            return;
-        }
-        let i = members.iter().position(|&u| u == v).unwrap_or(0);
-        self.next[members[i - 1] as usize].store(members[(i + 1) % members.len()], Relaxed);
-        self.leaders[v as usize].store(NONE, Relaxed);
-    }
-
     /// Takes vertices out of their groups until no face folds over that has as many moving corners as `least_moving` or more.
     pub fn take_back_folds(&mut self, surface: &Surface<S>, least_moving: usize) {
-        let faces = surface.faces.len() as u32;
+        let faces = surface.faces.len();
         let folded = |this: &Self, f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
         let mut back = {
             let this = &*self;
-            (0..faces).into_par_iter().in_pieces(4096).filter_map(|f| folded(this, f)).collect::<Vec<_>>()
+            (0..faces as u32).into_par_iter().in_pieces(4096).filter_map(|f| folded(this, f)).collect::<Vec<_>>()
         };
+        if back.is_empty() {
+            return;
+        }
+        let vertices = surface.positions.len();
+        let (mut leaving, mut changed) = (Marked::below(vertices), Marked::below(vertices));
+        let mut around = Marked::below(faces);
         while !back.is_empty() {
             let this = &*self;
-            let mut back_of: Vec<(u32, u32)> = back.into_par_iter().map(|v| (this.leader(v), v)).collect();
-            back_of.par_sort_unstable();
-            back_of.dedup();
-            let groups: Vec<&[(u32, u32)]> = back_of.chunk_by(|a, b| a.0 == b.0).collect();
-            let shrink = |group: &&[(u32, u32)]| this.shrink(surface, group);
-            let shrunk: Vec<Shrunk<S>> = groups.par_iter().in_pieces(64).map(shrink).collect();
-            // Only faces at a group that has changed can have changed.
-            let faces = |group: &Shrunk<S>| {
-                group.members.iter().flat_map(|&v| surface.stars.of(v)).map(|c| c >> 2).collect::<Vec<_>>()
+            back.par_iter().for_each(|&v| {
+                leaving.add(v);
+                changed.add(this.leader(v));
+            });
+            let shrink = |members: &mut Vec<u32>, leader: u32| {
+                this.members(leader, members);
+                // Only faces at a group that has changed can have changed.
+                members.iter().flat_map(|&v| surface.stars.of(v)).for_each(|corner| around.add(corner >> 2));
+                this.shrink(members, &leaving);
+                (members.len() > 1).then(|| (leader, this.place(surface, members)))
             };
-            let mut around: Vec<u32> = shrunk.par_iter().in_pieces(64).flat_map_iter(faces).collect();
-            for Shrunk { leader, spot, .. } in shrunk {
-                if let Some(spot) = spot {
-                    self.spots[leader as usize] = spot;
-                }
+            let moved: Vec<_> = changed.all().map_init(Vec::new, shrink).flatten_iter().collect();
+            for (leader, spot) in moved {
+                self.spots[leader as usize] = spot;
             }
-            around.par_sort_unstable();
-            around.dedup();
             let this = &*self;
-            back = around.into_par_iter().in_pieces(256).filter_map(|f| folded(this, f)).collect();
+            back = around.all().filter_map(|f| folded(this, f)).collect();
+            [&mut leaving, &mut changed, &mut around].into_iter().for_each(Marked::clear);
         }
     }
 
-    /// Takes vertices, in order, out of the group that they are all in.
-    fn shrink(&self, surface: &Surface<S>, back: &[(u32, u32)]) -> Shrunk<S> {
-        let leader = back[0].0;
-        let (mut members, mut left) = (Vec::new(), Vec::new());
-        self.members(leader, &mut members);
-        for &(_, v) in back {
-            // Unless the others have gone already.
-            if self.moves(v) {
-                self.part(v, &mut left);
-            }
+    /// Takes those who are `leaving` out of their group: the leader, or all but one of the members, only with all others.
+    /// Leaves those in `members` who stay.
+    fn shrink(&self, members: &mut Vec<u32>, leaving: &Marked) {
+        let leader = members[0];
+        let leaves = |v: u32| leaving.has(v);
+        if leaves(leader) || members[1..].iter().all(|&v| leaves(v)) {
+            self.take_back(members);
+            members.clear();
+            return;
         }
-        let spot = self.moves(leader).then(|| {
-            self.members(leader, &mut left);
-            self.place(surface, &left)
+        members.retain(|&v| {
+            if leaves(v) {
+                self.leaders[v as usize].store(NONE, Relaxed);
+            }
+            !leaves(v)
         });
-        Shrunk { leader, spot, members }
+        for (i, &v) in members.iter().enumerate() {
+            self.next[v as usize].store(members[(i + 1) % members.len()], Relaxed);
+        }
     }
 
     /// Where the merged vertex of a group belongs for what its members have learnt.

@@ -9,6 +9,7 @@
 use super::batch::NONE;
 use super::policy::Least;
 use crate::cores::InPieces;
+use crate::mesh::groups::{Groups, ranges};
 use crate::mesh::{Coordinate, Extent, IndexedMesh, Shades, Wedges, widen};
 use crate::quadric::PackedQuadric;
 use glam::DVec3;
@@ -240,13 +241,18 @@ pub(super) fn joined(faces: &[[u32; 3]], vertices: usize) -> Vec<u32> {
         }
         v
     };
-    for &[a, b, c] in faces {
-        let mut low = root(&mut up, a);
-        for v in [b, c] {
+    for face in faces {
+        let [p, q, r] = face.map(|v| up[v as usize]);
+        if p == q && q == r {
+            continue;
+        }
+        let mut low = root(&mut up, p);
+        for v in [q, r] {
             let r = root(&mut up, v);
             up[low.max(r) as usize] = low.min(r);
             low = low.min(r);
         }
+        face.iter().for_each(|v| up[*v as usize] = low);
     }
     // A vertex's way up only falls, so that one step is enough when all before it are flat.
     for v in 0..up.len() {
@@ -259,6 +265,8 @@ pub(super) fn joined(faces: &[[u32; 3]], vertices: usize) -> Vec<u32> {
 struct Places {
     /// Curve keys, and below them the vertices.
     sorted: Vec<u64>,
+    /// Where the cubes at [`COARSE`] begin.
+    begins: Vec<u32>,
     at: Vec<DVec3>,
     /// The piece of each.
     of: Vec<u32>,
@@ -270,6 +278,9 @@ struct Places {
 
 /// Levels of the curve: cubes of 2⁻¹⁰ of the longest side, so that a key and a vertex share a word.
 const LEVELS: u32 = 10;
+
+/// The level whose cubes are listed.
+const COARSE: u32 = 5;
 
 /// A cube with so few positions is looked through.
 const LEAF: usize = 16;
@@ -289,10 +300,17 @@ impl Places {
             let scaled = ((p - low) / side * cubes).clamp(DVec3::ZERO, DVec3::splat(cubes - 1.0));
             spread(scaled.x as u64) | spread(scaled.y as u64) << 1 | spread(scaled.z as u64) << 2
         };
-        let vertices = (0..mesh.positions.len() as u32).into_par_iter().in_pieces(4096);
-        let in_pieces = vertices.filter(|v| pieces[*v as usize] != NONE);
-        let mut sorted: Vec<u64> = in_pieces.map(|v| key(mesh.at(v)) << 32 | u64::from(v)).collect();
-        sorted.par_sort_unstable();
+        // By coarse cubes first, each of which is little to sort then.
+        let key_of = |(p, piece): (&[S; 3], &u32)| if *piece == NONE { NONE } else { key(widen(*p)) as u32 };
+        let keys: Vec<u32> = mesh.positions.par_iter().zip(pieces).in_pieces(4096).map(key_of).collect();
+        let mut coarse = Groups::default();
+        coarse.rebuild(1 << (3 * (LEVELS - COARSE)), ranges(), || keys.iter().map(|key| key >> (3 * COARSE)).zip(0..));
+        let (begins, vertices) = coarse.into_parts();
+        let entry = |v: &u32| u64::from(keys[*v as usize]) << 32 | u64::from(*v);
+        let mut sorted: Vec<u64> = vertices.par_iter().in_pieces(4096).map(entry).collect();
+        sorted
+            .par_chunk_by_mut(|a, b| a >> (32 + 3 * COARSE) == b >> (32 + 3 * COARSE))
+            .for_each(<[u64]>::sort_unstable);
         let sort = || sorted.par_iter().in_pieces(4096).map(|entry| *entry as u32);
         let at = sort().map(|v| mesh.at(v)).collect();
         let of: Vec<u32> = sort().map(|v| pieces[v as usize]).collect();
@@ -300,7 +318,7 @@ impl Places {
         for i in 1..of.len() {
             changes[i] = changes[i - 1] + u32::from(of[i] != of[i - 1]);
         }
-        Places { sorted, at, of, changes, low, side }
+        Places { sorted, begins, at, of, changes, low, side }
     }
 
     /// The squared distance to the nearest position in another piece than this; infinite if there is none.
@@ -332,10 +350,14 @@ impl Places {
         }
         let side = self.side * 0.5f64.powi((LEVELS - level + 1) as i32);
         let mut children = [(f64::INFINITY, (0, 0), corner); 8];
-        let mut at = begin;
+        let (mut at, shift) = (begin, 3 * (level - 1));
+        let first = (self.sorted[begin] >> (32 + shift)) & !7;
         for (i, child) in children.iter_mut().enumerate() {
-            let shift = 32 + 3 * (level - 1);
-            let stop = at + self.sorted[at..end].partition_point(|&entry| (entry >> shift) & 7 <= i as u64);
+            let next = first + i as u64 + 1;
+            let stop = match shift.checked_sub(3 * COARSE) {
+                Some(shift) => self.begins[(next << shift) as usize] as usize,
+                None => at + self.sorted[at..end].partition_point(|&entry| entry >> (32 + shift) < next),
+            };
             let low = corner + side * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64);
             if stop > at {
                 *child = (from.distance_squared(from.clamp(low, low + side)), (at, stop), low);

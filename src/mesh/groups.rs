@@ -73,6 +73,11 @@ impl Groups {
         &self.items[self.first[group] as usize..self.first[group + 1] as usize]
     }
 
+    /// Where each group begins and the last one ends, and all items, one group after the other.
+    pub fn into_parts(self) -> (Vec<u32>, Vec<u32>) {
+        (self.first, self.items)
+    }
+
     /// Gives back the memory that is not in use.
     pub fn give_back(&mut self) {
         self.first.shrink_to_fit();
@@ -106,6 +111,7 @@ mod tests {
         }
         groups.rebuild(3, 2, || [(2, 8), (u32::MAX, 9)].into_iter());
         assert_eq!([0, 1, 2].map(|g| groups.of(g).to_vec()), [vec![], vec![], vec![8]]);
+        assert_eq!(std::mem::take(&mut groups).into_parts(), (vec![0, 0, 0, 1], vec![8]));
         groups.rebuild(0, 2, std::iter::empty);
     }
 }

@@ -8,6 +8,7 @@ pub mod columns;
 mod frame;
 pub mod groups;
 mod indexed;
+pub mod marked;
 mod mix;
 mod reference;
 pub mod samples;
