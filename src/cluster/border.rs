@@ -13,7 +13,7 @@ use super::corners::Sink;
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates, is_far};
 use super::sums::Totals;
 use super::table::CellTable;
-use crate::mesh::groups::{self, Groups};
+use crate::mesh::groups::Groups;
 use crate::quadric::Quadric;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -29,7 +29,7 @@ pub(super) fn open_cells(triples: &[[u32; 3]], cells: usize) -> Vec<bool> {
     // Edges by their lesser end: of a cell these are two of each triple that it leads, and among those of others' what the
     // two that do not lead have between them.
     let mut between = Groups::default();
-    between.rebuild(cells, groups::ranges(), || triples.iter().map(|&[_, b, c]| (b.min(c), b.max(c))));
+    between.rebuild(cells, triples.len(), |range| triples[range].iter().map(|&[_, b, c]| (b.min(c), b.max(c))));
     let open_from = |first: usize| {
         let (mut found, mut ends) = (Vec::new(), Vec::new());
         let mut led = &triples[triples.partition_point(|triple| (triple[0] as usize) < first)..];

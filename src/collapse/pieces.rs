@@ -9,7 +9,7 @@
 use super::batch::NONE;
 use super::policy::Least;
 use crate::cores::InPieces;
-use crate::mesh::groups::{Groups, ranges};
+use crate::mesh::groups::Groups;
 use crate::mesh::{Coordinate, Extent, IndexedMesh, Shades, Wedges, widen};
 use crate::quadric::PackedQuadric;
 use glam::DVec3;
@@ -304,7 +304,9 @@ impl Places {
         let key_of = |(p, piece): (&[S; 3], &u32)| if *piece == NONE { NONE } else { key(widen(*p)) as u32 };
         let keys: Vec<u32> = mesh.positions.par_iter().zip(pieces).in_pieces(4096).map(key_of).collect();
         let mut coarse = Groups::default();
-        coarse.rebuild(1 << (3 * (LEVELS - COARSE)), ranges(), || keys.iter().map(|key| key >> (3 * COARSE)).zip(0..));
+        coarse.rebuild(1 << (3 * (LEVELS - COARSE)), keys.len(), |range| {
+            keys[range.clone()].iter().map(|key| key >> (3 * COARSE)).zip(range.start as u32..)
+        });
         let (begins, vertices) = coarse.into_parts();
         let entry = |v: &u32| u64::from(keys[*v as usize]) << 32 | u64::from(*v);
         let mut sorted: Vec<u64> = vertices.par_iter().in_pieces(4096).map(entry).collect();

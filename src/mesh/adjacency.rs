@@ -1,14 +1,11 @@
 //! Which corners meet at each vertex.
 
-use super::groups::{self, Groups};
+use super::groups::Groups;
 
 /// The star of every vertex: the corners there, in face order. A corner is `4·face + side`, so that its parts come off by
 /// shifts. 12 bytes a face and 4 a vertex.
 #[derive(Debug, Default)]
 pub struct Stars(Groups);
-
-/// Faces below which it is not cut: of 500,000 two threads are no faster, of 70,000 they take twice as long.
-const UNCUT_FACES: usize = 1 << 19;
 
 impl Stars {
     /// Gives back the memory that is not in use.
@@ -18,14 +15,9 @@ impl Stars {
 
     /// Rebuilds for `faces` over `vertices` vertices, reusing the memory. At most [`MOST_FACES`].
     pub fn rebuild(&mut self, faces: &[[u32; 3]], vertices: usize) {
-        let ranges = if faces.len() < UNCUT_FACES { 1 } else { groups::ranges() };
-        self.rebuild_in(ranges, faces, vertices);
-    }
-
-    fn rebuild_in(&mut self, ranges: usize, faces: &[[u32; 3]], vertices: usize) {
         assert!(faces.len() <= MOST_FACES, "a corner is numbered in 32 bits");
         let corners = |(f, face): (u32, &[u32; 3])| [(face[0], 4 * f), (face[1], 4 * f + 1), (face[2], 4 * f + 2)];
-        self.0.rebuild(vertices, ranges, || (0..).zip(faces).flat_map(corners));
+        self.0.rebuild(vertices, faces.len(), |range| (range.start as u32..).zip(&faces[range]).flat_map(corners));
     }
 
     /// The corners at `v`.
@@ -73,11 +65,11 @@ mod tests {
 
     #[test]
     fn every_corner_is_in_the_star_of_its_vertex_and_nowhere_else() {
-        let faces: Vec<[u32; 3]> = (0..997u32).map(|i| [i * 7 % 113, i * 13 % 113 + 5, i * 31 % 120]).collect();
+        let faces: Vec<[u32; 3]> = (0..9970u32).map(|i| [i * 7 % 113, i * 13 % 113 + 5, i * 31 % 120]).collect();
         let mut stars = Stars::default();
-        for ranges in [1, 2, 3, 4] {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(ranges).build().unwrap();
-            pool.install(|| stars.rebuild_in(ranges, &faces, 121));
+        for threads in [1, 2, 3, 4] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| stars.rebuild(&faces, 121));
             let mut seen = 0;
             for v in 0..121 {
                 assert!(stars.of(v).is_sorted());

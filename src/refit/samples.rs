@@ -4,7 +4,7 @@ use super::NONE;
 use super::around::Around;
 use super::ground::{Ground, Place};
 use crate::cores::InPieces;
-use crate::mesh::groups::{self, Groups};
+use crate::mesh::groups::Groups;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, step, widen};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -142,7 +142,9 @@ impl Samples {
             );
         }
         let faces = &self.faces;
-        self.of_faces.rebuild(ground.mesh.faces.len(), groups::ranges(), || faces.iter().copied().zip(0..));
+        self.of_faces.rebuild(ground.mesh.faces.len(), faces.len(), |range| {
+            faces[range.clone()].iter().copied().zip(range.start as u32..)
+        });
     }
 
     /// The samples that are nearest to a face.
