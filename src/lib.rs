@@ -33,7 +33,8 @@
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
 //! tables are sized from the scan and the budget; what threads share is summed in integers; every step of the collapse is a
-//! function of the state before it.
+//! function of the state before it. Hot loops are compiled for vectors of several widths, the processor's is chosen at run
+//! time, and each does the same operations in the same order, none of them fused.
 //!
 //! **Invariant:** the process's peak resident set stays within the budget, input and output pages included. Each stage's
 //! documentation has its bytes a face, a vertex or a cell; [`plan`] adds them up before anything is read.

@@ -5,6 +5,7 @@
 //! the scan's: sums about a distant origin lose centimetres to cancellation, local ones nanometres. Moving the origin is
 //! [`Quadric::shifted`], done in `f64`; storage is [`PackedQuadric`], 44 bytes of `f32`.
 
+use fearless_simd::{Simd, f32x8};
 use glam::{DMat3, DVec3};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -42,7 +43,7 @@ pub(crate) trait Number:
 }
 
 impl Number for f64 {}
-impl Number for wide::f32x4 {}
+impl<V: Simd> Number for f32x8<V> {}
 
 /// `A x`, of `A`'s upper triangle.
 #[inline(always)]

@@ -9,7 +9,7 @@
 //! It costs a second pass over the faces, and only scans with borders pay it; where more cells are open than memory is
 //! left for, more such passes.
 
-use super::corners::Sink;
+use super::corners::{Faces, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates, is_far};
 use super::sums::Totals;
 use super::table::CellTable;
@@ -161,11 +161,12 @@ impl BorderWorker<'_> {
 }
 
 impl Sink for BorderWorker<'_> {
-    fn take(&mut self, faces: &[[Corner; 3]], _: usize) {
-        for face in faces {
+    fn take(&mut self, [a, b, c]: Faces, _: usize) {
+        for ((a, b), c) in a.iter().zip(b).zip(c) {
+            let face = [*a, *b, *c];
             let slots = face.map(|corner| self.borders.slots[corner.cell() as usize]);
             if slots != [CLOSED; 3] {
-                self.add(*face, slots);
+                self.add(face, slots);
             }
         }
     }

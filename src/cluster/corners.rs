@@ -30,8 +30,11 @@ pub(super) const FEED_BYTES: usize =
 pub(super) trait Sink: Send {
     /// At most [`BATCH`] faces that repeat no vertex and whose corners are all somewhere; those with all corners in one
     /// cell come first, so many.
-    fn take(&mut self, faces: &[[Corner; 3]], inside: usize);
+    fn take(&mut self, faces: Faces, inside: usize);
 }
+
+/// Some faces: the first, the second and the third corner of each.
+pub(super) type Faces<'a> = [&'a [Corner]; 3];
 
 /// Where a face's corners come from.
 pub(super) enum Corners<'a> {
@@ -52,7 +55,7 @@ pub(super) struct Feed<'a, K> {
     pub(super) sink: K,
     used: Marker<'a>,
     /// Faces within a cell from the beginning, those across cells from the end.
-    faces: Box<[[Corner; 3]; BATCH]>,
+    faces: Box<[[Corner; BATCH]; 3]>,
     inside: usize,
     across: usize,
     /// Faces that repeat a corner.
@@ -63,7 +66,7 @@ pub(super) struct Feed<'a, K> {
 
 impl<'a, K: Sink> Feed<'a, K> {
     pub(super) fn new(sink: K, used: &'a Used) -> Self {
-        let faces = Box::new([[Corner::default(); 3]; BATCH]);
+        let faces = Box::new([[Corner::default(); BATCH]; 3]);
         Feed { sink, used: Marker::new(used), faces, inside: 0, across: 0, repeated: 0, nowhere: None }
     }
 
@@ -79,7 +82,9 @@ impl<'a, K: Sink> Feed<'a, K> {
         let [a, b, c] = face;
         let is_inside = a.same_cell(b) & a.same_cell(c);
         let place = if is_inside { self.inside } else { BATCH - 1 - self.across };
-        self.faces[place % BATCH] = face;
+        for (corners, corner) in self.faces.iter_mut().zip(face) {
+            corners[place % BATCH] = corner;
+        }
         self.inside += usize::from(is_inside);
         self.across += usize::from(!is_inside);
         if self.inside + self.across == BATCH {
@@ -95,8 +100,8 @@ impl<'a, K: Sink> Feed<'a, K> {
 
     fn deliver(&mut self) {
         let (inside, across) = (std::mem::take(&mut self.inside), std::mem::take(&mut self.across));
-        self.faces.copy_within(BATCH - across.., inside);
-        self.sink.take(&self.faces[..inside + across], inside);
+        self.faces.iter_mut().for_each(|corners| corners.copy_within(BATCH - across.., inside));
+        self.sink.take(self.faces.each_ref().map(|corners| &corners[..inside + across]), inside);
     }
 
     #[cold]

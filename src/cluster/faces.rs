@@ -1,17 +1,17 @@
 //! The face pass: every face adds its plane to the cells of its corners, and survives if they are three.
 //!
 //! Faces come in batches, those within a cell apart from those across cells, and go through in stages, each a short loop
-//! over the batch: edges, shares in cells, cross products, normals, samples (all of these without a branch), sums. One
-//! face at a time would wait for its own square root and division. Places are quantised, so that edges and sums of
-//! corners are worked out for all three axes in one word.
+//! over the batch: how far cells are apart, edges, shares in cells, cross products, normals, samples (all of these without
+//! a branch), sums. One face at a time would wait for its own square root and division. Places are quantised, so that
+//! edges and sums of corners are worked out for all three axes in one word. Loops are as wide as the processor's vectors.
 
-use super::corners::{BATCH, Sink};
+use super::corners::{BATCH, Faces, Sink};
 use super::grid::{COORDINATE_BITS, Corner, FIELD_BITS, LOCAL_BITS, STEPS, absolute, is_far};
 use super::sampling::{SampleWorker, scramble, seed};
-use super::sums::{Gatherer, Plane, Share, Sums};
+use super::sums::{Gatherer, ONE_CORNER, Plane, Shares, Sums, TOGETHER};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
-use wide::f32x4;
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x16, i32x16, prelude::*};
 
 /// One worker of the face pass.
 pub(super) struct FaceWorker<'a> {
@@ -33,26 +33,32 @@ pub(super) const BATCH_BYTES: usize = size_of::<Batch>();
 
 /// Faces between two stages: those within a cell first, those across cells behind them.
 struct Batch {
+    /// How many cells the second and the third corner are further than the first, as keys, plus [`NEAR`] along each axis.
+    apart: [[u64; BATCH]; 2],
     /// The edges from the first corner to the others, in steps, plus [`MIDDLE`]; of [`Batch::long`] ones anything.
     edges: [[[u16; BATCH]; 3]; 2],
+    /// The corners' places in their cells, as fields, each plus [`ONE_CORNER`].
+    places: [[u64; BATCH]; 3],
     /// What chance draws of a face, yet to be scrambled.
     lots: [u32; BATCH],
     /// Faces with an edge too long for 16 bits, and how many these are.
     long: [u16; BATCH],
     longs: usize,
-    /// Faces that ask for samples, and how many of them each.
-    sampled: [u16; BATCH],
-    samples: [u32; BATCH],
+    /// How many samples faces ask for.
+    samples: [i32; BATCH],
     /// Cross products of the two edges.
     crosses: [[f32; BATCH]; 3],
     /// Unit normals, and weights in quanta.
     planes: [Plane; BATCH],
-    /// Weights again, one after the other.
+    /// Weights again, one after the other; and rounded, as far as 32 bits go.
     weights: [f32; BATCH],
-    /// What each face adds to each of its cells, and how many of these there are.
-    shares: [Share; 3 * BATCH],
-    count: usize,
+    weights_rounded: [i32; BATCH],
+    /// What each face adds to each of its cells.
+    shares: Shares<MOST_SHARES>,
 }
+
+/// Shares of a batch, and room behind them.
+const MOST_SHARES: usize = 3 * BATCH + TOGETHER;
 
 /// What stands for an edge of no extent along an axis: where both its ends are at most [`NEAR`] cells apart along each,
 /// an edge is in `1..1 << 16` then.
@@ -78,17 +84,18 @@ impl<'a> FaceWorker<'a> {
         coherent: bool,
     ) -> Self {
         let batch = Batch {
+            apart: [[0; BATCH]; 2],
             edges: [[[0; BATCH]; 3]; 2],
+            places: [[0; BATCH]; 3],
             lots: [0; BATCH],
             long: [0; BATCH],
             longs: 0,
-            sampled: [0; BATCH],
             samples: [0; BATCH],
             crosses: [[0.0; BATCH]; 3],
             planes: [Plane::default(); BATCH],
             weights: [0.0; BATCH],
-            shares: [Share::default(); 3 * BATCH],
-            count: 0,
+            weights_rounded: [0; BATCH],
+            shares: Shares::new(),
         };
         FaceWorker {
             table,
@@ -111,55 +118,50 @@ impl<'a> FaceWorker<'a> {
 }
 
 impl Sink for FaceWorker<'_> {
-    fn take(&mut self, faces: &[[Corner; 3]], inside: usize) {
-        let end = faces.len().min(BATCH);
-        let (faces, inside) = (&faces[..end], inside.min(end));
+    fn take(&mut self, faces: Faces, inside: usize) {
+        let end = faces[0].len().min(BATCH);
+        let faces = faces.map(|corners| &corners[..end]);
         if !self.coherent {
-            self.table.fetch(faces[inside..].as_flattened().iter().map(|corner| corner.cell()));
+            faces.iter().for_each(|corners| self.table.fetch(corners[inside..].iter().map(|corner| corner.cell())));
         }
-        self.batch.start_inside(&faces[..inside]);
-        self.batch.edges_across(faces, inside, self.table);
+        dispatch!(Level::new(), simd => self.work(simd, faces, inside.min(end)));
+    }
+}
+
+impl FaceWorker<'_> {
+    #[inline(always)]
+    fn work<V: Simd>(&mut self, simd: V, faces: Faces, inside: usize) {
+        let end = faces[0].len();
+        self.batch.apart(faces, inside, self.table);
+        self.batch.edges(faces);
+        self.batch.shares_inside(faces, inside);
         self.batch.shares_across(faces, inside, &mut self.appender);
         self.batch.cross(end);
         self.batch.cross_long(faces, self.table);
-        self.flat_faces += u64::from(self.batch.normalise(end, self.quanta));
+        self.flat_faces += u64::from(self.batch.normalise(simd, end, self.quanta));
         if let Some(samples) = &mut self.samples {
-            let asking = self.batch.sample(end, samples.rate());
-            let batch = &*self.batch;
-            for &i in &batch.sampled[..asking] {
-                let i = usize::from(i);
-                samples.add(faces[i], batch.samples[i], batch.planes[i].normal());
-            }
+            self.batch.sample(end, samples.rate());
+            self.batch.ask(simd, faces, samples);
         }
-        let (planes, shares) = (&self.batch.planes, &self.batch.shares[..self.batch.count]);
+        let Batch { planes, weights_rounded, shares, .. } = &*self.batch;
         if self.coherent {
-            self.gatherer.add(planes, shares);
+            self.gatherer.add(simd, (planes, weights_rounded), shares);
         } else {
-            self.gatherer.add_now(planes, shares);
+            self.gatherer.add_now(simd, (planes, weights_rounded), shares);
         }
     }
 }
 
 impl Batch {
-    /// Edges and shares of faces within a cell.
-    fn start_inside(&mut self, faces: &[[Corner; 3]]) {
-        const FROM: u64 = MIDDLE as u64 * EACH_FIELD;
-        let faces = &faces[..faces.len().min(BATCH)];
-        for (i, face) in faces.iter().enumerate() {
-            let [p, q, r] = face.map(Corner::fields);
-            self.put_edges(i, q + FROM - p, r + FROM - p);
-            self.lots[i] = seed(*face);
-            self.shares[i] = Share::new(face[0].cell(), i, p + q + r, 3);
+    /// How far the cells of faces are apart; those within one, which are the first `inside`, are not.
+    #[inline(always)]
+    fn apart(&mut self, faces: Faces, inside: usize, table: &CellTable) {
+        for apart in &mut self.apart {
+            apart[..inside].fill(NEAR * EACH_COORDINATE);
         }
-        self.count = faces.len();
-    }
-
-    /// Edges of faces across cells, which are those from `inside` on.
-    fn edges_across(&mut self, faces: &[[Corner; 3]], inside: usize, table: &CellTable) {
-        const FROM: u64 = (MIDDLE as u64 - (NEAR << LOCAL_BITS)) * EACH_FIELD;
         let mut longs = 0;
-        for (i, face) in (inside..BATCH).zip(&faces[inside..]) {
-            let keys = face.map(|corner| table.key(corner.cell()));
+        for i in inside..faces[0].len().min(BATCH) {
+            let keys = faces.map(|corners| table.key(corners[i].cell()));
             // How many cells further a corner is than the first, plus NEAR: of a corner that is not near, or that
             // leads a coordinate to borrow, a bit above the lowest three is set, or is so one further on.
             let further = |key: u64| key.wrapping_add(NEAR * EACH_COORDINATE).wrapping_sub(keys[0]);
@@ -168,50 +170,63 @@ impl Batch {
             let is_long = beyond(to_q) | beyond(to_r) != 0 || is_far(keys[0] | keys[1] | keys[2]);
             self.long[longs % BATCH] = i as u16;
             longs += usize::from(is_long);
-
-            let [p, q, r] = face.map(Corner::fields);
-            let cells = |to: u64| {
-                let along = |axis: u32| (to >> (axis * COORDINATE_BITS) & 7) << (axis * FIELD_BITS + LOCAL_BITS);
-                (along(0) | along(1) | along(2)) + FROM
-            };
-            self.put_edges(i, (q + cells(to_q)).wrapping_sub(p), (r + cells(to_r)).wrapping_sub(p));
-            self.lots[i] = seed(*face);
+            (self.apart[0][i], self.apart[1][i]) = (to_q, to_r);
         }
         self.longs = longs;
     }
 
-    /// Shares of faces across cells: one in each of a face's cells, without a branch. Those with three survive.
-    fn shares_across(&mut self, faces: &[[Corner; 3]], inside: usize, survivors: &mut Appender) {
-        let mut count = self.count;
-        for (i, face) in (inside..BATCH).zip(&faces[inside..]) {
-            let cells @ [a, b, c] = face.map(Corner::cell);
-            let [p, q, r] = face.map(Corner::fields);
-            let (ab, bc, ca) = (a == b, b == c, c == a);
-            let only_if = |is_so: bool, fields: u64| fields & u64::from(is_so).wrapping_neg();
-            let mut add = |is_new: bool, cell: u32, sum: u64, places: u16| {
-                self.shares[count] = Share::new(cell, i, sum, places);
-                count += usize::from(is_new);
+    /// Corners' places, edges, and what chance draws.
+    #[inline(always)]
+    fn edges(&mut self, [a, b, c]: Faces) {
+        const FROM: u64 = (MIDDLE as u64 - (NEAR << LOCAL_BITS)) * EACH_FIELD;
+        let Batch { edges: [[ux, uy, uz], [vx, vy, vz]], apart: [to_q, to_r], places: [ps, qs, rs], lots, .. } = self;
+        let end = a.len().min(BATCH);
+        let (b, c) = (&b[..end], &c[..end]);
+        for i in 0..end {
+            let (p, q, r) = (a[i].fields(), b[i].fields(), c[i].fields());
+            let cells = |to: u64| {
+                let along = |axis: u32| (to >> (axis * COORDINATE_BITS) & 7) << (axis * FIELD_BITS + LOCAL_BITS);
+                (along(0) | along(1) | along(2)) + FROM
             };
-            add(true, a, p + only_if(ab, q) + only_if(ca, r), 1 + u16::from(ab) + u16::from(ca));
-            add(!ab, b, q + only_if(bc, r), 1 + u16::from(bc));
-            add(!(bc | ca), c, r, 1);
-            if !(ab | bc | ca) {
-                survivors.push(cells);
-            }
+            let u = (q + cells(to_q[i])).wrapping_sub(p);
+            let v = (r + cells(to_r[i])).wrapping_sub(p);
+            (ux[i], uy[i], uz[i]) = (u as u16, (u >> FIELD_BITS) as u16, (u >> (2 * FIELD_BITS)) as u16);
+            (vx[i], vy[i], vz[i]) = (v as u16, (v >> FIELD_BITS) as u16, (v >> (2 * FIELD_BITS)) as u16);
+            (ps[i], qs[i], rs[i]) = (p + ONE_CORNER, q + ONE_CORNER, r + ONE_CORNER);
+            lots[i] = seed([a[i], b[i], c[i]]);
         }
-        self.count = count;
     }
 
+    /// Shares of the faces within a cell.
     #[inline(always)]
-    fn put_edges(&mut self, i: usize, u: u64, v: u64) {
-        let [us, vs] = &mut self.edges;
-        for (axis, (us, vs)) in (0..).zip(us.iter_mut().zip(vs)) {
-            us[i] = (u >> (axis * FIELD_BITS)) as u16;
-            vs[i] = (v >> (axis * FIELD_BITS)) as u16;
+    fn shares_inside(&mut self, [a, ..]: Faces, inside: usize) {
+        let Batch { shares, places: [p, q, r], .. } = self;
+        for i in 0..inside.min(BATCH) {
+            shares.cells[i] = a[i].cell();
+            shares.places[i] = p[i] + q[i] + r[i];
+            shares.planes[i] = i as u16;
+        }
+        shares.count = inside;
+    }
+
+    /// Shares of faces across cells: one in each of a face's cells, without a branch. Those with three survive.
+    #[inline(always)]
+    fn shares_across(&mut self, faces: Faces, inside: usize, survivors: &mut Appender) {
+        let Batch { shares, places: [ps, qs, rs], .. } = self;
+        for i in inside..faces[0].len().min(BATCH) {
+            let cells @ [a, b, c] = faces.map(|corners| corners[i].cell());
+            let (p, q, r) = (ps[i], qs[i], rs[i]);
+            let (ab, bc, ca) = (a == b, b == c, c == a);
+            let only_if = |is_so: bool, place: u64| place & u64::from(is_so).wrapping_neg();
+            shares.put_if(true, a, p + only_if(ab, q) + only_if(ca, r), i);
+            shares.put_if(!ab, b, q + only_if(bc, r), i);
+            shares.put_if(!(bc | ca), c, r, i);
+            survivors.push_if(!(ab | bc | ca), cells);
         }
     }
 
     /// Cross products: exact before they are rounded, so they do not depend on the corner from which the edges start.
+    #[inline(always)]
     fn cross(&mut self, end: usize) {
         let [u, v] = &self.edges;
         let minor = |to: &mut [f32; BATCH], i: usize, j: usize| {
@@ -228,51 +243,87 @@ impl Batch {
     }
 
     /// The same for long edges.
-    fn cross_long(&mut self, faces: &[[Corner; 3]], table: &CellTable) {
+    fn cross_long(&mut self, faces: Faces, table: &CellTable) {
         for &i in &self.long[..self.longs] {
             let i = usize::from(i);
-            let keys = faces[i].map(|corner| table.key(corner.cell()));
-            let cross = long_cross(faces[i], keys);
+            let face = faces.map(|corners| corners[i]);
+            let cross = long_cross(face, face.map(|corner| table.key(corner.cell())));
             self.crosses.iter_mut().zip(cross).for_each(|(along, x)| along[i] = x);
         }
     }
 
     /// How many samples faces ask for: as many as their weight comes to, rounded up or down by what chance has drawn.
-    /// Returns how many ask for any.
-    fn sample(&mut self, end: usize, rate: f32) -> usize {
+    #[inline(always)]
+    fn sample(&mut self, end: usize, rate: f32) {
         let counts = self.samples[..end].iter_mut().zip(&self.weights).zip(&self.lots);
         for ((count, w), lot) in counts {
-            *count = (w * rate + (scramble(*lot) >> 8) as f32 * (1.0 / (1 << 24) as f32)) as u32;
+            *count = (w * rate + (scramble(*lot) >> 8) as f32 * (1.0 / (1 << 24) as f32)) as i32;
         }
-        let mut asking = 0;
-        for (i, count) in self.samples[..end].iter().enumerate() {
-            self.sampled[asking] = i as u16;
-            asking += usize::from(*count > 0);
+    }
+
+    /// Has samples taken of the faces that ask for any.
+    #[inline(always)]
+    fn ask<V: Simd>(&self, simd: V, faces: Faces, samples: &mut SampleWorker) {
+        let end = faces[0].len();
+        for first in (0..end).step_by(WIDTH) {
+            let counts = i32x16::from_slice(simd, &self.samples[first..first + WIDTH]);
+            let mut asking = counts.simd_gt(i32x16::splat(simd, 0)).to_bitmask() & there(first, end);
+            while asking != 0 {
+                let i = first + asking.trailing_zeros() as usize;
+                asking &= asking - 1;
+                let face = faces.map(|corners| corners[i]);
+                samples.add(face, self.samples[i].cast_unsigned(), self.planes[i].normal());
+            }
         }
-        asking
     }
 
     /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still
     /// counts a quantum: the mean of a cell with such faces only is defined. Returns how many there are.
-    fn normalise(&mut self, end: usize, quanta: f32) -> u32 {
+    #[inline(always)]
+    fn normalise<V: Simd>(&mut self, simd: V, end: usize, quanta: f32) -> u32 {
         let mut flat = 0;
-        let [x, y, z] = self.crosses.each_ref().map(|along| along.as_chunks::<4>().0);
-        let planes = self.planes.as_chunks_mut::<4>().0.iter_mut().zip(self.weights.as_chunks_mut::<4>().0);
-        for (first, ((planes, weights), ((x, y), z))) in (0..end).step_by(4).zip(planes.zip(x.iter().zip(y).zip(z))) {
-            let (x, y, z) = (f32x4::from(*x), f32x4::from(*y), f32x4::from(*z));
+        let of = |x: f32| f32x16::splat(simd, x);
+        for first in (0..end).step_by(WIDTH) {
+            let some = first..first + WIDTH;
+            let along = |axis: usize| f32x16::from_slice(simd, &self.crosses[axis][some.clone()]);
+            let (x, y, z) = (along(0), along(1), along(2));
             let length = (x * x + y * y + z * z).sqrt();
             // The least length is CROSS_SCALE: a zero vector stays one.
-            let inverse = f32x4::ONE / length.fast_max(f32x4::splat(0.5 * CROSS_SCALE));
-            let weight = (length * f32x4::splat(quanta)).fast_max(f32x4::ONE);
-            for (plane, of) in planes.iter_mut().zip(f32x4::transpose([x * inverse, y * inverse, z * inverse, weight]))
-            {
-                *plane = Plane(of.to_array());
-            }
-            *weights = weight.to_array();
-            let there = 0xf >> (first + 4).saturating_sub(end);
-            flat += (length.simd_eq(f32x4::ZERO).to_bitmask() & there).count_ones();
+            let inverse = of(1.0) / length.max(of(0.5 * CROSS_SCALE));
+            let weight = (length * of(quanta)).max(of(1.0));
+            store_planes([x * inverse, y * inverse, z * inverse, weight], &mut self.planes[some.clone()]);
+            weight.store_slice(&mut self.weights[some.clone()]);
+            let rounded = weight.min(of(HEAVIEST_ROUNDED)).round_ties_even();
+            rounded.to_int::<i32x16<V>>().store_slice(&mut self.weights_rounded[some]);
+            flat += (length.simd_eq(of(0.0)).to_bitmask() & there(first, end)).count_ones();
         }
         flat
+    }
+}
+
+/// Faces that are worked on together, of a batch.
+const WIDTH: usize = 16;
+const _: () = assert!(BATCH.is_multiple_of(WIDTH));
+
+/// The largest single that an integer of 32 bits holds: beyond what fits a line.
+const HEAVIEST_ROUNDED: f32 = ((1u32 << 31) - (1 << 7)) as f32;
+
+/// Which of the faces from `first` on are before `end`.
+#[inline(always)]
+fn there(first: usize, end: usize) -> u64 {
+    0xffff >> (first + WIDTH).saturating_sub(end)
+}
+
+/// Numbers of planes that are side by side, each plane's together.
+#[inline(always)]
+fn store_planes<V: Simd>([x, y, z, w]: [f32x16<V>; 4], planes: &mut [Plane]) {
+    let ((xl, xh), (yl, yh), (zl, zh), (wl, wh)) = (x.split(), y.split(), z.split(), w.split());
+    let (low, high) = bytemuck::cast_slice_mut(planes).split_at_mut(2 * WIDTH);
+    for (planes, [x, y, z, w]) in [(low, [xl, yl, zl, wl]), (high, [xh, yh, zh, wh])] {
+        let ((xl, xh), (yl, yh), (zl, zh), (wl, wh)) = (x.split(), y.split(), z.split(), w.split());
+        let (low, high) = planes.split_at_mut(WIDTH);
+        f32x4::store_four_interleaved([xl, yl, zl, wl], low);
+        f32x4::store_four_interleaved([xh, yh, zh, wh], high);
     }
 }
 

@@ -8,16 +8,17 @@
 //! their weight alone.
 //!
 //! Lines are 64 bytes with their lock. Locking one for every contribution would cost more than the arithmetic, so each
-//! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row.
+//! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row. What leaves
+//! the cache waits until there is more of it.
 
-use super::grid::STEPS;
+use super::grid::{FIELD_BITS, STEPS};
 use crate::cores::InPieces;
-use glam::{Vec3, Vec4, Vec4Swizzles};
+use fearless_simd::{Simd, f32x4, f32x16, i32x16, prelude::*, u32x16, u64x8};
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use wide::{f32x4, i32x4};
 
 /// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
@@ -33,7 +34,7 @@ const LIMIT: i64 = (1 << 31) - (1 << 20);
 /// times the area that the whole scan was estimated to have.
 const HEAVIEST: f32 = (1u64 << 48) as f32;
 
-/// Shares whose lines are fetched together: few enough for the first-level cache.
+/// Lines that are fetched together: few enough for the first-level cache.
 const AT_ONCE: usize = 64;
 
 /// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.
@@ -48,7 +49,8 @@ const ASIDE: usize = 32;
 /// Bytes of the side table for each cell.
 pub(super) const SIDE_BYTES: usize = 5;
 /// Bytes of a worker's cache.
-pub(super) const CACHE_BYTES: usize = CACHED * (size_of::<Cached>() + 4);
+pub(super) const CACHE_BYTES: usize =
+    CACHED * (size_of::<Cached>() + size_of::<Owner>()) + AT_ONCE * size_of::<Cached>();
 
 #[derive(Default)]
 #[repr(align(64))]
@@ -62,7 +64,8 @@ pub(super) struct Sums {
 }
 
 /// A face's unit normal (zero for one without area), and its weight in quanta, which is at least 1.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(transparent)]
 pub(super) struct Plane(pub(super) [f32; 4]);
 
 impl Plane {
@@ -77,43 +80,129 @@ impl Plane {
     }
 }
 
-/// One face's share in a cell: the mean of those corners that are in it, and which of some planes goes through it.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Share {
-    /// The sum of the corners' places in steps from the cell's least corner, and 0.
-    sum: [i32; 4],
-    cell: u32,
-    plane: u16,
-    corners: u16,
+/// Shares of faces in cells, some of them: each the mean of those corners that are in the cell, and which of some planes goes
+/// through it.
+pub(super) struct Shares<const MOST: usize> {
+    /// Of each the sum of its corners' fields; above them, how often [`ONE_CORNER`] was added.
+    pub(super) places: [u64; MOST],
+    pub(super) cells: [u32; MOST],
+    pub(super) planes: [u16; MOST],
+    /// How many there are. Behind them there is room for [`TOGETHER`] more.
+    pub(super) count: usize,
 }
+
+impl<const MOST: usize> Shares<MOST> {
+    /// None.
+    pub(super) fn new() -> Self {
+        Shares { places: [0; MOST], cells: [0; MOST], planes: [0; MOST], count: 0 }
+    }
+
+    /// Puts one down, which counts if `is_so`.
+    #[inline(always)]
+    pub(super) fn put_if(&mut self, is_so: bool, cell: u32, place: u64, plane: usize) {
+        let at = self.count % MOST;
+        (self.places[at], self.cells[at], self.planes[at]) = (place, cell, plane as u16);
+        self.count += usize::from(is_so);
+    }
+}
+
+/// Above the fields of a place, one for a corner.
+pub(super) const ONE_CORNER: u64 = 1 << CORNERS_FROM;
+const CORNERS_FROM: u32 = 3 * FIELD_BITS;
+
+/// Shares that are worked out together.
+pub(super) const TOGETHER: usize = 16;
 
 /// What sums of so many places are to be multiplied by for their mean in cells.
 const MEAN: [f32; 4] = [0.0, 1.0 / STEPS as f32, 1.0 / (2.0 * STEPS as f32), 1.0 / (3.0 * STEPS as f32)];
-/// From a cell's least corner to its centre; and 1, which is where the weight is to be.
-const CENTRE: f32x4 = f32x4::new([-0.5, -0.5, -0.5, 1.0]);
+/// From a cell's least corner to its centre.
+const CENTRE: f32 = -0.5;
 
-impl Share {
-    /// In the cell of one to three `corners`, whose places' fields add up to `sum`.
-    #[inline(always)]
-    pub(super) fn new(cell: u32, plane: usize, sum: u64, corners: u16) -> Self {
-        // The first two apart by a word's half, so that they are stored together.
-        let low = sum & 0xffff | (sum & 0xffff_0000) << 16;
-        let sum = [low as i32, (low >> 32) as i32, (sum >> 32) as i32, 0];
-        Share { sum, cell, plane: plane as u16, corners }
-    }
+/// What planes add through places, a row for each of them, in quanta: about the cell's centre, lengths in cells. Single
+/// precision is finer than the rounding to quanta that follows.
+#[inline(always)]
+fn rows<V: Simd>(simd: V, planes: [&Plane; TOGETHER], places: &[u64; TOGETHER]) -> [f32x16<V>; TOGETHER] {
+    let of = |x: f32| f32x16::splat(simd, x);
+    let (low, high) = places.split_at(TOGETHER / 2);
+    let (low, high) = (u64x8::from_slice(simd, low), u64x8::from_slice(simd, high));
+    let mask = u64x8::splat(simd, (1 << FIELD_BITS) - 1);
+    let field = |shift: u32| ((low >> shift) & mask).narrow((high >> shift) & mask);
+    let corners = field(CORNERS_FROM);
+    let is = |n: u32, m: f32x16<V>| corners.simd_eq(u32x16::splat(simd, n)).select(of(MEAN[n as usize]), m);
+    let mean = is(1, is(2, of(MEAN[3])));
+    let along = |axis: u32| field(axis * FIELD_BITS).bitcast::<i32x16<V>>().to_float::<f32x16<V>>() * mean + of(CENTRE);
+    let [px, py, pz] = [along(0), along(1), along(2)];
 
-    /// What the plane with `weight` through the share's place adds, in quanta: about the cell's centre, lengths in
-    /// cells. Single precision is finer than the rounding to quanta that follows.
-    #[inline(always)]
-    fn lanes(&self, plane: &Plane, weight: f32) -> [Vec4; PADDED / 4] {
-        let mean = f32x4::splat(MEAN[usize::from(self.corners) % MEAN.len()]);
-        let place = Vec4::from((i32x4::from(self.sum).round_float() * mean + CENTRE).to_array());
-        let n = Vec4::from(plane.0);
-        let along = n * place;
-        let u = n.with_w(-((along.x + along.y) + along.z));
-        let m = u * weight;
-        [u * m.xxxx(), u.yzwz() * m.yyyz(), u.wwww() * m.zwww(), place * weight]
+    let [x, y, z, w] = columns(simd, planes);
+    let d = -((x * px + y * py) + z * pz);
+    let [mx, my, mz, md] = [x * w, y * w, z * w, d * w];
+    let none = of(0.0);
+    transposed([
+        x * mx,
+        y * mx,
+        z * mx,
+        d * mx,
+        y * my,
+        z * my,
+        d * my,
+        z * mz,
+        d * mz,
+        d * md,
+        none,
+        none,
+        px * w,
+        py * w,
+        pz * w,
+        w,
+    ])
+}
+
+/// The numbers of planes, side by side.
+#[inline(always)]
+fn columns<V: Simd>(simd: V, planes: [&Plane; TOGETHER]) -> [f32x16<V>; 4] {
+    let [pa, pb, pc, pd] = quarter(simd, planes, 0);
+    let [qa, qb, qc, qd] = quarter(simd, planes, 4);
+    let [ra, rb, rc, rd] = quarter(simd, planes, 8);
+    let [sa, sb, sc, sd] = quarter(simd, planes, 12);
+    [
+        pa.combine(qa).combine(ra.combine(sa)),
+        pb.combine(qb).combine(rb.combine(sb)),
+        pc.combine(qc).combine(rc.combine(sc)),
+        pd.combine(qd).combine(rd.combine(sd)),
+    ]
+}
+
+/// The same of four of them.
+#[inline(always)]
+fn quarter<V: Simd>(simd: V, planes: [&Plane; TOGETHER], first: usize) -> [f32x4<V>; 4] {
+    let (a, b) = (f32x4::load_array_ref(simd, &planes[first].0), f32x4::load_array_ref(simd, &planes[first + 1].0));
+    let (c, d) = (f32x4::load_array_ref(simd, &planes[first + 2].0), f32x4::load_array_ref(simd, &planes[first + 3].0));
+    let ((ac_low, ac_high), (bd_low, bd_high)) = (a.interleave(c), b.interleave(d));
+    let ((x, y), (z, w)) = (ac_low.interleave(bd_low), ac_high.interleave(bd_high));
+    [x, y, z, w]
+}
+
+/// Rows as columns.
+#[inline(always)]
+fn transposed<V: Simd>(mut rows: [f32x16<V>; 16]) -> [f32x16<V>; 16] {
+    for _ in 0..4 {
+        let was = rows;
+        for i in 0..8 {
+            (rows[2 * i], rows[2 * i + 1]) = was[i].interleave(was[i + 8]);
+        }
     }
+    rows
+}
+
+/// What one plane of that weight adds through a place.
+fn row(plane: &Plane, weight: f32, place: u64) -> [f32; PADDED] {
+    let mean = MEAN[(place >> CORNERS_FROM) as usize % MEAN.len()];
+    let [px, py, pz] = [0, 1, 2].map(|axis| f32::from((place >> (axis * FIELD_BITS)) as u16) * mean + CENTRE);
+    let [x, y, z, _] = plane.0;
+    let d = -((x * px + y * py) + z * pz);
+    let [mx, my, mz, md] = [x, y, z, d].map(|u| u * weight);
+    let (p, w) = ([px, py, pz].map(|p| p * weight), weight);
+    [x * mx, y * mx, z * mx, d * mx, y * my, z * my, d * my, z * mz, d * mz, d * md, 0.0, 0.0, p[0], p[1], p[2], w]
 }
 
 /// 2^52 + 2^51: adding it leaves a double's nearest integer in the low bits of its mantissa, sign included.
@@ -128,78 +217,142 @@ struct Cached([i32; PADDED]);
 pub(super) struct Gatherer<'a> {
     sums: &'a Sums,
     cache: Box<[Cached; CACHED]>,
-    owners: Box<[u32; CACHED]>,
+    owners: Box<[Owner; CACHED]>,
+    leaving: Leaving,
+}
+
+/// Whose a cached line is, and what weight is in it: apart from the line, which is on its way to memory whenever its
+/// cell comes twice in a row.
+#[derive(Clone, Copy)]
+struct Owner {
+    cell: u32,
+    weight: u32,
 }
 
 impl<'a> Gatherer<'a> {
     pub(super) fn new(sums: &'a Sums) -> Self {
-        Gatherer { sums, cache: Box::new([Cached([0; PADDED]); CACHED]), owners: Box::new([NOBODY; CACHED]) }
+        let cache = Box::new([Cached([0; PADDED]); CACHED]);
+        let owners = Box::new([Owner { cell: NOBODY, weight: 0 }; CACHED]);
+        Gatherer { sums, cache, owners, leaving: Leaving::new() }
     }
 
-    /// Adds shares in `planes` to their cells, by way of the cache: for faces whose neighbours come next.
-    pub(super) fn add(&mut self, planes: &[Plane], shares: &[Share]) {
-        for share in shares {
-            let Some(quanta) = self.round(planes, share) else { continue };
-            let (cell, place) = (share.cell, share.cell as usize % CACHED);
-            let line = &mut self.cache[place].0;
-            // Neither is negative or beyond the limit.
-            let weight = line[PADDED_WEIGHT].cast_unsigned() + quanta[PADDED_WEIGHT].cast_unsigned();
-            if self.owners[place] != cell || weight > LIMIT as u32 {
-                self.sums.write_back(self.owners[place], line);
-                self.owners[place] = cell;
-            }
-            for (sum, x) in line.iter_mut().zip(quanta) {
-                *sum = sum.wrapping_add(x);
+    /// Adds shares in `planes` to their cells, by way of the cache: for faces whose neighbours come next. `weights` are those
+    /// of the planes, rounded.
+    #[inline(always)]
+    pub(super) fn add<V: Simd, const P: usize, const MOST: usize>(
+        &mut self,
+        simd: V,
+        (planes, weights): (&[Plane; P], &[i32; P]),
+        shares: &Shares<MOST>,
+    ) {
+        for first in (0..shares.count).step_by(TOGETHER) {
+            let quanta = quanta(simd, planes, shares, first);
+            let some = first..shares.count.min(first + TOGETHER);
+            for (at, quanta) in some.zip(&quanta) {
+                let (cell, plane) = (shares.cells[at], usize::from(shares.planes[at]) % P);
+                let place = cell as usize % CACHED;
+                let (line, owner) = (&mut self.cache[place].0, &mut self.owners[place]);
+                // Neither is negative or beyond 31 bits.
+                let (before, weight) = (owner.weight, weights[plane].cast_unsigned());
+                owner.weight = before + weight;
+                if (owner.cell != cell) | (owner.weight > LIMIT as u32) {
+                    if i64::from(weight) > LIMIT {
+                        owner.weight = before;
+                        self.sums.add_wide(cell, &planes[plane], shares.places[at]);
+                        continue;
+                    }
+                    self.leaving.put(self.sums, owner.cell, line);
+                    *owner = Owner { cell, weight };
+                }
+                (i32x16::load_array_ref(simd, line) + i32x16::load_array_ref(simd, quanta)).store_array(line);
             }
         }
     }
 
     /// Adds shares in `planes` to their cells at once: for faces from anywhere. Lines are brought near first, so that the
     /// waits for them overlap.
-    pub(super) fn add_now(&mut self, planes: &[Plane], shares: &[Share]) {
-        for shares in shares.chunks(AT_ONCE) {
-            let mut poisoned = false;
-            for share in shares {
-                poisoned |= self.sums.lines[share.cell as usize].0.is_poisoned();
-            }
-            std::hint::black_box(poisoned);
-            for share in shares {
-                if let Some(quanta) = self.round(planes, share) {
-                    self.sums.add(share.cell, &quanta);
+    #[inline(always)]
+    pub(super) fn add_now<V: Simd, const P: usize, const MOST: usize>(
+        &mut self,
+        simd: V,
+        (planes, weights): (&[Plane; P], &[i32; P]),
+        shares: &Shares<MOST>,
+    ) {
+        for begin in (0..shares.count).step_by(AT_ONCE) {
+            let end = shares.count.min(begin + AT_ONCE);
+            self.sums.fetch(&shares.cells[begin..end]);
+            for first in (begin..end).step_by(TOGETHER) {
+                let quanta = quanta(simd, planes, shares, first);
+                for (at, quanta) in (first..end).zip(&quanta) {
+                    let (cell, plane) = (shares.cells[at], usize::from(shares.planes[at]) % P);
+                    match i64::from(weights[plane]) > LIMIT {
+                        true => self.sums.add_wide(cell, &planes[plane], shares.places[at]),
+                        false => self.sums.add(cell, quanta),
+                    }
                 }
             }
         }
     }
 
-    /// A share in the 32 bits of a line; what does not fit goes aside at once.
-    #[inline(always)]
-    fn round(&self, planes: &[Plane], share: &Share) -> Option<[i32; PADDED]> {
-        let plane = &planes[usize::from(share.plane)];
-        if plane.weight() > LIMIT as f32 {
-            self.add_wide(plane, share);
-            return None;
-        }
-        // A weight at the limit still fits 32 bits, and the other lanes are no larger.
-        let lanes = share.lanes(plane, plane.weight());
-        let rounded = lanes.map(|x| f32x4::from(x.to_array()).fast_round_int().to_array());
-        Some(bytemuck::cast(rounded))
-    }
-
-    #[cold]
-    fn add_wide(&self, plane: &Plane, share: &Share) {
-        let lanes: [f32; PADDED] =
-            bytemuck::cast(share.lanes(plane, plane.weight().min(HEAVIEST)).map(|x| x.to_array()));
-        let wide = lanes.map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
-        self.sums.add_aside(share.cell, &unpad(&wide));
-    }
-
     /// Hands all that was gathered to the sums.
     pub(super) fn flush(&mut self) {
         for (line, owner) in self.cache.iter_mut().zip(&mut *self.owners) {
-            self.sums.write_back(*owner, &mut line.0);
-            *owner = NOBODY;
+            self.leaving.put(self.sums, owner.cell, &mut line.0);
+            *owner = Owner { cell: NOBODY, weight: 0 };
+        }
+        self.leaving.flush(self.sums);
+    }
+}
+
+/// Lines on their way from a worker's cache to the sums: together, so that the waits for memory overlap.
+struct Leaving {
+    lines: Box<[Cached; AT_ONCE]>,
+    owners: [u32; AT_ONCE],
+    count: usize,
+}
+
+impl Leaving {
+    fn new() -> Self {
+        Leaving { lines: Box::new([Cached([0; PADDED]); AT_ONCE]), owners: [NOBODY; AT_ONCE], count: 0 }
+    }
+
+    /// Takes a cached line and empties it.
+    #[inline(always)]
+    fn put(&mut self, sums: &Sums, owner: u32, line: &mut [i32; PADDED]) {
+        if self.count == AT_ONCE {
+            self.flush(sums);
+        }
+        self.lines[self.count].0 = std::mem::replace(line, [0; PADDED]);
+        self.owners[self.count] = owner;
+        self.count += 1;
+    }
+
+    #[inline(never)]
+    fn flush(&mut self, sums: &Sums) {
+        let owners = &self.owners[..std::mem::take(&mut self.count)];
+        sums.fetch(owners);
+        for (line, owner) in self.lines.iter().zip(owners) {
+            sums.add(*owner, &line.0);
         }
     }
+}
+
+/// What shares from `first` on add, as far as it fits the 32 bits of a line: a weight at the limit still does, and the other
+/// lanes are no larger.
+#[inline(always)]
+fn quanta<V: Simd, const P: usize, const MOST: usize>(
+    simd: V,
+    planes: &[Plane; P],
+    shares: &Shares<MOST>,
+    first: usize,
+) -> [[i32; PADDED]; TOGETHER] {
+    let planes = std::array::from_fn(|i| &planes[usize::from(shares.planes[first + i]) % P]);
+    let places = std::array::from_fn(|i| shares.places[first + i]);
+    let mut quanta = [[0; PADDED]; TOGETHER];
+    for (quanta, row) in quanta.iter_mut().zip(rows(simd, planes, &places)) {
+        row.round_ties_even().to_int::<i32x16<V>>().store_array(quanta);
+    }
+    quanta
 }
 
 /// A contribution's or a cached line's lanes without the unused ones.
@@ -224,10 +377,11 @@ impl Sums {
         self.overflowed.load(Relaxed)
     }
 
-    /// Adds a cached line to its owner's and empties it.
-    #[inline(never)]
-    fn write_back(&self, owner: u32, cached: &mut [i32; PADDED]) {
-        self.add(owner, &std::mem::replace(cached, [0; PADDED]));
+    /// Brings cells' lines near, so that the waits for them overlap.
+    #[inline(always)]
+    fn fetch(&self, cells: &[u32]) {
+        let poisoned = |cell: &u32| self.lines.get(*cell as usize).is_some_and(|line| line.0.is_poisoned());
+        std::hint::black_box(cells.iter().fold(false, |any, cell| any | poisoned(cell)));
     }
 
     #[inline(always)]
@@ -244,6 +398,14 @@ impl Sums {
                 *sum = sum.wrapping_add(x);
             }
         }
+    }
+
+    /// Adds what a plane adds that does not fit 32 bits.
+    #[cold]
+    fn add_wide(&self, cell: u32, plane: &Plane, place: u64) {
+        let wide = row(plane, plane.weight().min(HEAVIEST), place)
+            .map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
+        self.add_aside(cell, &unpad(&wide));
     }
 
     #[cold]
@@ -303,10 +465,14 @@ impl Totals {
 
 #[cfg(test)]
 mod tests {
-    use super::super::grid::FIELD_BITS;
     use super::*;
+    use crate::cores::levels;
+    use fearless_simd::{Level, dispatch};
 
-    fn shares(count: u64) -> Vec<(Plane, Share)> {
+    /// A share by itself: its plane, its cell and its place.
+    type Share = (Plane, u32, u64);
+
+    fn shares(count: u64) -> Vec<Share> {
         let mut state = 7u64;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -320,38 +486,41 @@ mod tests {
                 let corners = 1 + i % 3;
                 let places = (0..3).fold(0, |all, _| (all << FIELD_BITS) + (8191.0 * random()) as u64 * corners);
                 let cell = (random() * 5000.0) as u32 % if i % 3 == 0 { 4 } else { 5000 };
-                (Plane(n.extend(w).to_array()), Share::new(cell, 0, places, corners as u16))
+                (Plane(n.extend(w).to_array()), cell, places + corners * ONE_CORNER)
             })
             .collect()
     }
 
     /// What a share adds, lane by lane.
-    fn lanes_of((plane, share): &(Plane, Share)) -> [f32; LANES] {
-        let [x, y, z, w] = plane.0;
-        let p: [f32; 3] =
-            std::array::from_fn(|k| share.sum[k] as f32 * (1.0 / (f32::from(share.corners) * 8192.0)) - 0.5);
-        let u = [x, y, z, -((x * p[0] + y * p[1]) + z * p[2])];
-        let m = u.map(|x| x * w);
-        let quadric = [(0, 0), (1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3)];
-        std::array::from_fn(|i| match i {
-            ..WEIGHT => u[quadric[i].0] * m[quadric[i].1],
-            WEIGHT => w,
-            _ => p[i - WEIGHT - 1] * w,
-        })
+    fn lanes_of((plane, _, place): &Share) -> [f32; LANES] {
+        unpad(&row(plane, plane.weight(), *place))
     }
 
-    fn gather(shares: &[(Plane, Share)], workers: usize) -> (Vec<[i64; LANES]>, usize) {
+    #[inline(always)]
+    fn gather_some<V: Simd>(simd: V, gatherer: &mut Gatherer, some: &[Share], turn: usize) {
+        const P: usize = 100;
+        let (mut planes, mut weights, mut shares) = ([Plane::default(); P], [0; P], Shares::<{ P + TOGETHER }>::new());
+        for (i, (plane, cell, place)) in some.iter().enumerate() {
+            planes[i] = *plane;
+            weights[i] = plane.weight().round_ties_even() as i32;
+            shares.put_if(false, 0, 0, 0);
+            shares.put_if(true, *cell, *place, i);
+        }
+        match turn % 2 {
+            0 => gatherer.add(simd, (&planes, &weights), &shares),
+            _ => gatherer.add_now(simd, (&planes, &weights), &shares),
+        }
+    }
+
+    fn gather(level: Level, shares: &[Share], workers: usize) -> (Vec<[i64; LANES]>, usize) {
         let sums = Sums::new(5000);
         std::thread::scope(|scope| {
             for part in shares.chunks(shares.len().div_ceil(workers)) {
                 let sums = &sums;
                 scope.spawn(move || {
                     let mut gatherer = Gatherer::new(sums);
-                    for (some, turn) in part.chunks(100).zip(0..) {
-                        let planes: Vec<Plane> = some.iter().map(|(plane, _)| *plane).collect();
-                        let shares: Vec<Share> =
-                            some.iter().zip(0..).map(|((_, share), plane)| Share { plane, ..*share }).collect();
-                        if turn % 2 == 0 { gatherer.add(&planes, &shares) } else { gatherer.add_now(&planes, &shares) }
+                    for (turn, some) in part.chunks(100).enumerate() {
+                        dispatch!(level, simd => gather_some(simd, &mut gatherer, some, turn));
                     }
                     gatherer.flush();
                 });
@@ -366,17 +535,19 @@ mod tests {
         let mut shares = shares(30_000);
         let mut expected = vec![[0i64; LANES]; 5000];
         for share in &shares {
-            for (sum, x) in expected[share.1.cell as usize].iter_mut().zip(lanes_of(share)) {
+            for (sum, x) in expected[share.1 as usize].iter_mut().zip(lanes_of(share)) {
                 *sum += x.round_ties_even() as i64;
             }
         }
-        let (one, outgrown) = gather(&shares, 1);
-        assert_eq!(one, expected);
-        assert!(outgrown >= 4, "the side table was not used: {outgrown}");
-        shares.reverse();
-        let (three, outgrown_by_three) = gather(&shares, 3);
-        assert_eq!(three, expected);
-        assert_eq!(outgrown, outgrown_by_three);
+        for level in levels() {
+            let (one, outgrown) = gather(level, &shares, 1);
+            assert_eq!(one, expected);
+            assert!(outgrown >= 4, "the side table was not used: {outgrown}");
+            shares.reverse();
+            let (three, outgrown_by_three) = gather(level, &shares, 3);
+            assert_eq!(three, expected);
+            assert_eq!(outgrown, outgrown_by_three);
+        }
     }
 
     #[test]

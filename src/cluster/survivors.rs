@@ -67,25 +67,29 @@ impl Survivors {
 /// A worker's end of [`Survivors`].
 pub(super) struct Appender<'a> {
     survivors: &'a Survivors,
-    held: Vec<[u32; 3]>,
+    held: Box<[[u32; 3]; HELD_BACK]>,
+    count: usize,
 }
 
 impl<'a> Appender<'a> {
     pub(super) fn new(survivors: &'a Survivors) -> Self {
-        Appender { survivors, held: Vec::with_capacity(HELD_BACK) }
+        Appender { survivors, held: Box::new([[0; 3]; HELD_BACK]), count: 0 }
     }
 
+    /// Appends a triple if it survives, which no processor can predict.
     #[inline(always)]
-    pub(super) fn push(&mut self, triple: [u32; 3]) {
-        if self.held.len() == HELD_BACK {
+    pub(super) fn push_if(&mut self, survives: bool, triple: [u32; 3]) {
+        self.held[self.count % HELD_BACK] = triple;
+        self.count += usize::from(survives);
+        if self.count == HELD_BACK {
             self.flush();
         }
-        self.held.push(triple);
     }
 
+    #[inline(never)]
     pub(super) fn flush(&mut self) {
-        self.survivors.append(&self.held);
-        self.held.clear();
+        self.survivors.append(&self.held[..self.count]);
+        self.count = 0;
     }
 }
 
@@ -226,17 +230,18 @@ mod tests {
         let survivors = Survivors::new(3);
         let mut appender = Appender::new(&survivors);
         for i in 0..3 {
-            appender.push([i, i + 1, i + 2]);
+            appender.push_if(false, [9; 3]);
+            appender.push_if(true, [i, i + 1, i + 2]);
         }
         appender.flush();
         assert!(!survivors.overflowed());
-        appender.push([7, 8, 9]);
+        appender.push_if(true, [7, 8, 9]);
         appender.flush();
         assert!(survivors.overflowed() && survivors.count() == 4);
 
         let survivors = Survivors::new(5);
         let mut appender = Appender::new(&survivors);
-        appender.push([1, 2, 3]);
+        appender.push_if(true, [1, 2, 3]);
         appender.flush();
         assert_eq!(survivors.into_triples(), [[1, 2, 3]]);
     }

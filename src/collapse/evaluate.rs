@@ -1,4 +1,4 @@
-//! What edges cost near the target, four at a time: what [`Surface::candidate`] says for the usual policies, in single
+//! What edges cost near the target, eight at a time: what [`Surface::candidate`] says for the usual policies, in single
 //! precision like the quadrics. It only ranks: where the vertex goes is worked out in doubles once an edge is taken. One at a
 //! time an edge waits for its own divisions. Scans in doubles, whose ties must not be left to rounding, have it so.
 
@@ -10,8 +10,8 @@ use super::{LEARNT_WEIGHT, Options};
 use crate::cores::InPieces;
 use crate::mesh::{Coordinate, step};
 use crate::quadric::{product, solve};
+use fearless_simd::{Level, Simd, dispatch, f32x8, mask32x8, prelude::*};
 use rayon::prelude::*;
-use wide::f32x4;
 
 /// Faces whose edges are evaluated by one task.
 const FACES: usize = 1 << 8;
@@ -33,33 +33,47 @@ impl<S: Coordinate> Surface<S> {
         costs.resize(self.faces.len(), [0.0; 3]);
         let this = &*self;
         let usual = this.is_usual(options);
+        let stale = |marks: u8| none || stale(marks);
         this.faces.par_chunks(FACES).zip(costs.par_chunks_mut(FACES)).in_pieces(1).for_each(|(faces, costs)| {
-            let (mut edges, mut waiting) = ([Edge::default(); LANES], 0);
             let costs = costs.as_flattened_mut();
-            for (slot, (a, b)) in faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).enumerate() {
-                if !this.answers_for(a, b) {
-                    costs[slot] = f32::INFINITY;
-                } else if none || stale(this.mark(a) | this.mark(b)) {
-                    match usual.then(|| this.sides(a, b)).flatten() {
-                        None => costs[slot] = this.cost(&this.stars, a, b, options),
-                        Some(faces) => {
-                            edges[waiting] = Edge { ends: [a, b], faces, slot };
-                            waiting += 1;
-                        }
-                    }
-                    if waiting == LANES {
-                        this.evaluate_together(&edges, costs);
-                        waiting = 0;
-                    }
-                }
-            }
-            if waiting > 0 {
-                let last = edges[waiting - 1];
-                edges[waiting..].fill(last);
-                this.evaluate_together(&edges, costs);
-            }
+            dispatch!(Level::new(), simd => this.evaluate_some(simd, (faces, costs), usual, options, stale));
         });
         self.costs = costs;
+    }
+
+    /// The same of the edges of some faces.
+    #[inline(always)]
+    fn evaluate_some<V: Simd>(
+        &self,
+        simd: V,
+        (faces, costs): (&[[u32; 3]], &mut [f32]),
+        usual: bool,
+        options: &Options,
+        stale: impl Fn(u8) -> bool,
+    ) {
+        let (mut edges, mut waiting) = ([Edge::default(); LANES], 0);
+        for (slot, (a, b)) in faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).enumerate() {
+            if !self.answers_for(a, b) {
+                costs[slot] = f32::INFINITY;
+            } else if stale(self.mark(a) | self.mark(b)) {
+                match usual.then(|| self.sides(a, b)).flatten() {
+                    None => costs[slot] = self.cost(&self.stars, a, b, options),
+                    Some(faces) => {
+                        edges[waiting] = Edge { ends: [a, b], faces, slot };
+                        waiting += 1;
+                    }
+                }
+                if waiting == LANES {
+                    self.evaluate_together(simd, &edges, costs);
+                    waiting = 0;
+                }
+            }
+        }
+        if waiting > 0 {
+            let last = edges[waiting - 1];
+            edges[waiting..].fill(last);
+            self.evaluate_together(simd, &edges, costs);
+        }
     }
 
     /// Whether nothing but the current faces, and what was learnt, decides what edges with two faces cost.
@@ -93,53 +107,70 @@ impl<S: Coordinate> Surface<S> {
     }
 
     #[inline(always)]
-    fn evaluate_together(&self, edges: &[Edge; LANES], costs: &mut [f32]) {
-        for (edge, cost) in edges.iter().zip(self.costs_of(edges)) {
+    fn evaluate_together<V: Simd>(&self, simd: V, edges: &[Edge; LANES], costs: &mut [f32]) {
+        for (edge, cost) in edges.iter().zip(self.costs_of(simd, edges)) {
             costs[edge.slot] = at_most_refused(self.pieces.price(edge.ends[0], cost));
         }
     }
 
     /// What edges cost, of whatever piece.
     #[inline(always)]
-    fn costs_of(&self, edges: &[Edge; LANES]) -> [f32; LANES] {
+    fn costs_of<V: Simd>(&self, simd: V, edges: &[Edge; LANES]) -> [f32; LANES] {
         let steps = edges.map(|Edge { ends: [a, b], .. }| step(self.positions[a as usize], self.positions[b as usize]));
-        let half: Vector = [0, 1, 2].map(|axis| f32x4::splat(0.5) * f32x4::new(steps.map(|step| step[axis])));
+        let half = scaled(f32x8::splat(simd, 0.5), vector(simd, steps.map(|step| step.to_array())));
+        let current = self.current_forms(simd, edges, &half);
+        let (step, cost) = current.best(simd, &half);
+        let learnt = self.learnt_forms(simd, edges, &half);
+        (cost + f32x8::splat(simd, LEARNT_WEIGHT as f32) * learnt.value(simd, &step)).to_array()
+    }
 
-        let [qa, qb] = [0, 1].map(|end| {
-            let numbers = edges.each_ref().map(|edge| bytemuck::cast_ref(&self.learnt[edge.ends[end] as usize]));
-            let [[xx, xy, xz, yy], [yz, zz, bx, by], [_, bz, c, _]] =
-                [0, 4, 7].map(|first| columns::<11>(numbers, first));
-            Form { a: [xx, xy, xz, yy, yz, zz], b: [bx, by, bz], c }
-        });
-        let (ga, gb) = (qa.product(&half), qb.product(&half));
-        let gap: Vector = std::array::from_fn(|i| ga[i] + gb[i] + f32x4::splat(2.0) * (qa.b[i] - qb.b[i]));
-        let learnt = Form {
-            a: std::array::from_fn(|i| qa.a[i] + qb.a[i]),
-            b: std::array::from_fn(|i| (qa.b[i] + qb.b[i]) + (ga[i] - gb[i])),
-            c: (qa.c + qb.c) + dot(&gap, &half),
-        };
+    /// What both ends of edges have learnt, about the middles.
+    #[inline(always)]
+    fn learnt_forms<V: Simd>(&self, simd: V, edges: &[Edge; LANES], half: &Vector<V>) -> Form<V> {
+        let (qa, qb) = (self.learnt_form_at(simd, edges, 0), self.learnt_form_at(simd, edges, 1));
+        let (ga, gb) = (qa.product(half), qb.product(half));
+        let two = f32x8::splat(simd, 2.0);
+        let gap = added(added(ga, gb), scaled(two, subtracted(qa.b, qb.b)));
+        Form {
+            a: summed(qa.a, qb.a),
+            b: added(added(qa.b, qb.b), subtracted(ga, gb)),
+            c: (qa.c + qb.c) + dot(&gap, half),
+        }
+    }
 
-        let [qa, qb] = [0, 1].map(|end| {
-            let numbers = edges.map(|edge| self.current[edge.ends[end] as usize].map(narrow));
-            let [[xx, xy, xz, yy], [_, _, yz, zz]] = [0, 2].map(|first| columns(numbers.each_ref(), first));
-            Form { a: [xx, xy, xz, yy, yz, zz], ..Form::default() }
-        });
-        let (ga, gb) = (qa.product(&half), qb.product(&half));
-        let both: Vector = std::array::from_fn(|i| ga[i] + gb[i]);
-        let mut current = Form {
-            a: std::array::from_fn(|i| qa.a[i] + qb.a[i]),
-            b: std::array::from_fn(|i| ga[i] - gb[i]),
-            c: dot(&both, &half),
-        };
+    #[inline(always)]
+    fn learnt_form_at<V: Simd>(&self, simd: V, edges: &[Edge; LANES], end: usize) -> Form<V> {
+        let numbers = edges.each_ref().map(|edge| bytemuck::cast_ref(&self.learnt[edge.ends[end] as usize]));
+        let [xx, xy, xz, yy] = columns::<V, 11>(simd, numbers, 0);
+        let [yz, zz, bx, by] = columns::<V, 11>(simd, numbers, 4);
+        let [_, bz, c, _] = columns::<V, 11>(simd, numbers, 7);
+        Form { a: [xx, xy, xz, yy, yz, zz], b: [bx, by, bz], c }
+    }
+
+    /// The current faces around both ends of edges, each once, about the middles.
+    #[inline(always)]
+    fn current_forms<V: Simd>(&self, simd: V, edges: &[Edge; LANES], half: &Vector<V>) -> Form<V> {
+        let (qa, qb) = (self.current_form_at(simd, edges, 0), self.current_form_at(simd, edges, 1));
+        let (ga, gb) = (qa.product(half), qb.product(half));
+        let mut a = summed(qa.a, qb.a);
         for side in 0..2 {
             let roots = edges.map(|edge| self.roots[edge.faces[side] as usize].map(narrow));
-            let m: Vector = [0, 1, 2].map(|axis| f32x4::new(roots.map(|root| root[axis])));
+            let m = vector(simd, roots);
             let plane = [m[0] * m[0], m[0] * m[1], m[0] * m[2], m[1] * m[1], m[1] * m[2], m[2] * m[2]];
-            current.a.iter_mut().zip(plane).for_each(|(x, y)| *x -= y);
+            for (x, y) in a.iter_mut().zip(plane) {
+                *x -= y;
+            }
         }
+        Form { a, b: subtracted(ga, gb), c: dot(&added(ga, gb), half) }
+    }
 
-        let (step, cost) = current.best(&half);
-        (cost + f32x4::splat(LEARNT_WEIGHT as f32) * learnt.value(&step)).to_array()
+    #[inline(always)]
+    fn current_form_at<V: Simd>(&self, simd: V, edges: &[Edge; LANES], end: usize) -> Form<V> {
+        let numbers = edges.map(|edge| self.current[edge.ends[end] as usize].map(narrow));
+        let [xx, xy, xz, yy] = columns(simd, numbers.each_ref(), 0);
+        let [_, _, yz, zz] = columns(simd, numbers.each_ref(), 2);
+        let none = f32x8::splat(simd, 0.0);
+        Form { a: [xx, xy, xz, yy, yz, zz], b: [none; 3], c: none }
     }
 }
 
@@ -149,57 +180,91 @@ fn narrow<S: Coordinate>(x: S) -> f32 {
     x.widen() as f32
 }
 
-type Vector = [f32x4; 3];
+type Vector<V> = [f32x8<V>; 3];
+
+/// Vectors side by side.
+#[inline(always)]
+fn vector<V: Simd>(simd: V, of: [[f32; 3]; LANES]) -> Vector<V> {
+    let along = |axis: usize| f32x8::load_array(simd, of.map(|v| v[axis]));
+    [along(0), along(1), along(2)]
+}
 
 #[inline(always)]
-fn dot(x: &Vector, y: &Vector) -> f32x4 {
+fn added<V: Simd>(x: Vector<V>, y: Vector<V>) -> Vector<V> {
+    [x[0] + y[0], x[1] + y[1], x[2] + y[2]]
+}
+
+#[inline(always)]
+fn subtracted<V: Simd>(x: Vector<V>, y: Vector<V>) -> Vector<V> {
+    [x[0] - y[0], x[1] - y[1], x[2] - y[2]]
+}
+
+#[inline(always)]
+fn scaled<V: Simd>(t: f32x8<V>, x: Vector<V>) -> Vector<V> {
+    [t * x[0], t * x[1], t * x[2]]
+}
+
+#[inline(always)]
+fn summed<V: Simd>(x: [f32x8<V>; 6], y: [f32x8<V>; 6]) -> [f32x8<V>; 6] {
+    [x[0] + y[0], x[1] + y[1], x[2] + y[2], x[3] + y[3], x[4] + y[4], x[5] + y[5]]
+}
+
+#[inline(always)]
+fn chosen<V: Simd>(is: mask32x8<V>, x: Vector<V>, y: Vector<V>) -> Vector<V> {
+    [is.select(x[0], y[0]), is.select(x[1], y[1]), is.select(x[2], y[2])]
+}
+
+#[inline(always)]
+fn dot<V: Simd>(x: &Vector<V>, y: &Vector<V>) -> f32x8<V> {
     x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 }
 
 /// [`Quadric`](crate::quadric::Quadric)s side by side, without their weights.
-#[derive(Clone, Copy, Default)]
-struct Form {
-    a: [f32x4; 6],
-    b: Vector,
-    c: f32x4,
+#[derive(Clone, Copy)]
+struct Form<V: Simd> {
+    a: [f32x8<V>; 6],
+    b: Vector<V>,
+    c: f32x8<V>,
 }
 
-impl Form {
+impl<V: Simd> Form<V> {
     #[inline(always)]
-    fn product(&self, x: &Vector) -> Vector {
+    fn product(&self, x: &Vector<V>) -> Vector<V> {
         product(&self.a, *x)
     }
 
     #[inline(always)]
-    fn value(&self, x: &Vector) -> f32x4 {
+    fn value(&self, simd: V, x: &Vector<V>) -> f32x8<V> {
         let ax = self.product(x);
-        let along: Vector = std::array::from_fn(|i| ax[i] + f32x4::splat(2.0) * self.b[i]);
-        (dot(&along, x) + self.c).fast_max(f32x4::ZERO)
+        let along = added(ax, scaled(f32x8::splat(simd, 2.0), self.b));
+        (dot(&along, x) + self.c).max(f32x8::splat(simd, 0.0))
     }
 
     /// The best place for the ends of edges, which are `half` from the origin on either side, and its value: as
     /// [`optimal`](super::place::optimal) finds it.
     #[inline(always)]
-    fn best(&self, half: &Vector) -> (Vector, f32x4) {
-        let r = f32x4::splat((PULL / 3.0) as f32) * (self.a[0] + self.a[3] + self.a[5]);
-        let (step, [first, second, third]) = solve(&self.a, r, self.b.map(|b| -b));
-        let zero = f32x4::ZERO;
-        let most = f32x4::splat((4.0 * REACH * REACH) as f32) * dot(half, half);
+    fn best(&self, simd: V, half: &Vector<V>) -> (Vector<V>, f32x8<V>) {
+        let of = |x: f32| f32x8::splat(simd, x);
+        let zero = of(0.0);
+        let r = of((PULL / 3.0) as f32) * (self.a[0] + self.a[3] + self.a[5]);
+        let back = scaled(of(-1.0), *half);
+        let (step, [first, second, third]) = solve(&self.a, r, [-self.b[0], -self.b[1], -self.b[2]]);
+        let most = of((4.0 * REACH * REACH) as f32) * dot(half, half);
         // No number is not near either.
         let definite = first.simd_gt(zero) & second.simd_gt(zero) & third.simd_gt(zero);
         let near = definite & dot(&step, &step).simd_le(most);
-        let cost = self.value(&step);
-        if near.all() {
+        let cost = self.value(simd, &step);
+        if near.all_true() {
             return (step, cost);
         }
-        let (mut best, mut least) = ([zero; 3], f32x4::splat(f32::INFINITY));
-        for place in [[zero; 3], *half, half.map(|x| -x)] {
-            let cost = self.value(&place);
+        let (mut best, mut least) = ([zero; 3], of(f32::INFINITY));
+        for place in [[zero; 3], *half, back] {
+            let cost = self.value(simd, &place);
             let less = cost.simd_lt(least);
-            best = std::array::from_fn(|axis| less.select(place[axis], best[axis]));
+            best = chosen(less, place, best);
             least = less.select(cost, least);
         }
-        (std::array::from_fn(|axis| near.select(step[axis], best[axis])), near.select(cost, least))
+        (chosen(near, step, best), near.select(cost, least))
     }
 }
 
@@ -209,6 +274,7 @@ mod tests {
     use crate::collapse::place::optimal;
     use crate::collapse::surface::TOUCHED;
     use crate::collapse::surface::tests::{bumps, with_roots};
+    use crate::cores::levels;
     use crate::quadric::Quadric;
     use glam::DVec3;
     use std::sync::atomic::Ordering::Relaxed;
@@ -248,6 +314,18 @@ mod tests {
         }
     }
 
+    #[inline(always)]
+    fn best_together<V: Simd>(simd: V, quadrics: &[Quadric; 4], half: DVec3) -> ([[f32; LANES]; 3], [f32; LANES]) {
+        let number = |of: &dyn Fn(&Quadric) -> f64| f32x8::from_fn(simd, |i| of(&quadrics[i % 4]) as f32);
+        let form = Form {
+            a: std::array::from_fn(|i| number(&|q| q.a[i])),
+            b: std::array::from_fn(|i| number(&|q| q.b[i])),
+            c: number(&|q| q.c),
+        };
+        let (steps, costs) = form.best(simd, &half.to_array().map(|x| f32x8::splat(simd, x as f32)));
+        (steps.map(|along| along.to_array()), costs.to_array())
+    }
+
     #[test]
     fn what_is_far_away_is_not_the_best_place() {
         let half = DVec3::new(0.25, 0.5, -0.125);
@@ -257,19 +335,19 @@ mod tests {
         for quadrics in
             [[bent; 4], [bent, skew, bent, bent], [skew, bent, bent, skew], [skew; 4], [Quadric::default(); 4]]
         {
-            let number = |of: &dyn Fn(&Quadric) -> f64| f32x4::new(quadrics.each_ref().map(|q| of(q) as f32));
-            let form = Form {
-                a: std::array::from_fn(|i| number(&|q| q.a[i])),
-                b: std::array::from_fn(|i| number(&|q| q.b[i])),
-                c: number(&|q| q.c),
-            };
-            let (steps, costs) = form.best(&half.to_array().map(|x| f32x4::splat(x as f32)));
-            for (lane, q) in quadrics.iter().enumerate() {
-                let alone = optimal(q, DVec3::ZERO, [half, -half]);
-                let step = DVec3::from(steps.map(|along| f64::from(along.to_array()[lane])));
-                assert!((step - alone.step).length() < 1e-5, "{step} {}", alone.step);
-                assert!((f64::from(costs.to_array()[lane]) - alone.cost).abs() < 1e-5 * alone.cost.max(0.01));
-            }
+            let together: Vec<_> = levels()
+                .into_iter()
+                .map(|level| dispatch!(level, simd => best_together(simd, &quadrics, half)))
+                .inspect(|(steps, costs)| {
+                    for (lane, q) in quadrics.iter().enumerate() {
+                        let alone = optimal(q, DVec3::ZERO, [half, -half]);
+                        let step = DVec3::from(steps.map(|along| f64::from(along[lane])));
+                        assert!((step - alone.step).length() < 1e-5, "{step} {}", alone.step);
+                        assert!((f64::from(costs[lane]) - alone.cost).abs() < 1e-5 * alone.cost.max(0.01));
+                    }
+                })
+                .collect();
+            assert!(together.iter().all(|found| *found == together[0]), "the width of vectors shows");
         }
         let far = skew.minimiser(DVec3::ZERO, PULL).unwrap();
         assert!(far.length() > 2.0 * REACH * half.length(), "{far}");

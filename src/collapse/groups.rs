@@ -11,6 +11,7 @@ use super::surface::Surface;
 use super::{Options, Stride};
 use crate::cores::InPieces;
 use crate::mesh::Coordinate;
+use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -27,42 +28,61 @@ pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, 
     batch.take_back_folds(surface, 1);
 }
 
+/// Vertices that look together.
+const LOOKING: usize = 256;
+
 /// Every vertex looks for its cheapest edge, where some are locked to one that is not. Returns what it costs.
 fn prefer<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, locks: bool) -> Vec<f32> {
-    let mut costs = Vec::new();
-    let look = |(v, best): (usize, &mut AtomicU32)| {
-        let v = v as u32;
-        let ranked = Ranked { surface, v, locks };
-        if surface.pieces.is_small(v) || ranked.is_locked(v) {
-            return f32::INFINITY;
-        }
-        let (least, end) = cheapest(v, u32::MAX, &ranked);
-        // Else all around are locked.
-        if end == NONE {
-            return f32::INFINITY;
-        }
-        *best.get_mut() = end;
-        f32::from_bits(least)
-    };
-    batch.next.par_iter_mut().enumerate().in_pieces(256).map(look).collect_into_vec(&mut costs);
+    let mut costs: Vec<f32> = bytemuck::zeroed_vec(batch.next.len());
+    let looking = batch.next.par_chunks_mut(LOOKING).zip(costs.par_chunks_mut(LOOKING)).enumerate();
+    looking.in_pieces(1).for_each(|(chunk, (best, costs))| {
+        let first = (chunk * LOOKING) as u32;
+        dispatch!(Level::new(), simd => look(simd, surface, locks, first, best, costs));
+    });
     costs
 }
 
+/// Vertices from `first` on look for their cheapest edges.
+#[inline(always)]
+fn look<S: Coordinate, V: Simd>(
+    simd: V,
+    surface: &Surface<S>,
+    locks: bool,
+    first: u32,
+    best: &mut [AtomicU32],
+    costs: &mut [f32],
+) {
+    for (v, (best, cost)) in (first..).zip(best.iter_mut().zip(costs)) {
+        let ranked = Ranked { simd, surface, v, locks };
+        *cost = f32::INFINITY;
+        if surface.pieces.is_small(v) || ranked.is_locked(v) {
+            continue;
+        }
+        let (least, end) = cheapest(v, u32::MAX, &ranked);
+        // Else all around are locked.
+        if end != NONE {
+            *best.get_mut() = end;
+            *cost = f32::from_bits(least);
+        }
+    }
+}
+
 /// The edges at `v` to what is not locked, where anything is.
-struct Ranked<'a, S> {
+struct Ranked<'a, S, V> {
+    simd: V,
     surface: &'a Surface<S>,
     v: u32,
     locks: bool,
 }
 
-impl<S: Coordinate> Ranked<'_, S> {
+impl<S: Coordinate, V> Ranked<'_, S, V> {
     #[inline(always)]
     fn is_locked(&self, v: u32) -> bool {
         self.locks && self.surface.locked(v)
     }
 }
 
-impl<S: Coordinate> Edges for Ranked<'_, S> {
+impl<S: Coordinate, V: Simd> Edges for Ranked<'_, S, V> {
     #[inline(always)]
     fn each(&self, mut take: impl FnMut(u32, u32)) {
         let surface = self.surface;
@@ -74,7 +94,7 @@ impl<S: Coordinate> Edges for Ranked<'_, S> {
                     let (p, q) = surface.ends(corners[i.min(last)]);
                     if way == 0 { p } else { q }
                 });
-                let costs = surface.ranks(self.v, to);
+                let costs = surface.ranks(self.simd, self.v, to);
                 for (i, (cost, u)) in costs.into_iter().zip(to).enumerate() {
                     take(if i > last || self.is_locked(u) { u32::MAX } else { cost.to_bits() }, u);
                 }

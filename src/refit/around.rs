@@ -8,8 +8,8 @@ use super::ground::{Ground, ROUNDING};
 use super::lanes::{LANES, Triangles, Vec3x8, least};
 use crate::mesh::adjacency::{after, before, parts};
 use crate::mesh::{Coordinate, step};
+use fearless_simd::{Simd, f32x8, prelude::*};
 use glam::Vec3;
-use wide::f32x8;
 
 /// Vertices that are remembered.
 const STARS: usize = 16;
@@ -18,30 +18,32 @@ const STARS: usize = 16;
 const MOST: usize = 2 * LANES;
 
 /// Faces around vertices, one worker's.
-pub(super) struct Around(Box<[Star; STARS]>);
+pub(super) struct Around<V: Simd>(V, Box<[Star<V>; STARS]>);
 
 /// The faces around one vertex, each with that vertex as its first corner.
 #[derive(Clone, Copy)]
-struct Star {
+struct Star<V: Simd> {
     vertex: u32,
     /// [`NONE`] where there is no further one.
     faces: [u32; MOST],
     /// The longest side's extent along an axis.
     long: [[f32; LANES]; MOST / LANES],
-    triangles: [Triangles; MOST / LANES],
-    normals: [Vec3x8; MOST / LANES],
+    triangles: [Triangles<V>; MOST / LANES],
+    normals: [Vec3x8<V>; MOST / LANES],
 }
 
-impl Around {
-    pub fn new() -> Self {
+impl<V: Simd> Around<V> {
+    #[inline(always)]
+    pub fn new(simd: V) -> Self {
+        let none = Vec3x8::splat(simd, Vec3::ZERO);
         let star = Star {
             vertex: NONE,
             faces: [NONE; MOST],
             long: [[0.0; LANES]; MOST / LANES],
-            triangles: Default::default(),
-            normals: Default::default(),
+            triangles: [Triangles::new(none, none); MOST / LANES],
+            normals: [none; MOST / LANES],
         };
-        Around(Box::new([star; STARS]))
+        Around(simd, Box::new([star; STARS]))
     }
 
     /// The face that is nearest to `point`, found from vertex `v` as [`Ground::near_vertex`] does.
@@ -51,19 +53,19 @@ impl Around {
         if S::DOUBLE || ground.stars.of(v).len() > MOST {
             return ground.near_vertex(point, normal, v).map(|place| place.face);
         }
-        let star = &mut self.0[v as usize % STARS];
+        let (simd, star) = (self.0, &mut self.1[v as usize % STARS]);
         if star.vertex != v {
-            star.lay_out(ground, v);
+            star.lay_out(simd, ground, v);
         }
-        let (face, is_beyond) = star.nearest(step(ground.mesh.positions[v as usize], point), normal)?;
+        let (face, is_beyond) = star.nearest(simd, step(ground.mesh.positions[v as usize], point), normal)?;
         // A place at the vertex, or on an edge that it is an end of, has been held against all that it belongs to.
         if is_beyond { Some(ground.walk(ground.on_face(point, face), point, normal).face) } else { Some(face) }
     }
 }
 
-impl Star {
-    #[inline(never)]
-    fn lay_out<S: Coordinate>(&mut self, ground: Ground<S>, v: u32) {
+impl<V: Simd> Star<V> {
+    #[inline(always)]
+    fn lay_out<S: Coordinate>(&mut self, simd: V, ground: Ground<S>, v: u32) {
         self.vertex = v;
         self.faces = [NONE; MOST];
         let at = ground.mesh.positions[v as usize];
@@ -80,26 +82,28 @@ impl Star {
             }
         }
         for (half, (triangles, normal)) in self.triangles.iter_mut().zip(&mut self.normals).enumerate() {
-            *triangles = Triangles::new(Vec3x8::from_axes(ab[half]), Vec3x8::from_axes(ac[half]));
-            *normal = Vec3x8::from_axes(normals[half]);
+            let axes = |axes| Vec3x8::from_axes(simd, axes);
+            *triangles = Triangles::new(axes(ab[half]), axes(ac[half]));
+            *normal = axes(normals[half]);
         }
     }
 
     /// The face nearest to a point about the vertex, among those that look the same way as `normal`: the first of those
     /// between which only rounding decides. And whether the nearest place is on the far side of it.
     #[inline(always)]
-    fn nearest(&self, point: Vec3, normal: Vec3) -> Option<(u32, bool)> {
-        let (p, n) = (Vec3x8::splat(point), Vec3x8::splat(normal));
-        let mut distances = [f32x8::splat(f32::INFINITY); MOST / LANES];
+    fn nearest(&self, simd: V, point: Vec3, normal: Vec3) -> Option<(u32, bool)> {
+        let (p, n) = (Vec3x8::splat(simd, point), Vec3x8::splat(simd, normal));
+        let of = |x: f32| f32x8::splat(simd, x);
+        let mut distances = [of(f32::INFINITY); MOST / LANES];
         let mut beyond = [0; MOST / LANES];
         for half in 0..MOST / LANES {
             if self.faces[half * LANES] == NONE {
                 break;
             }
-            let found = self.triangles[half].nearest(p);
-            let is_alike = self.normals[half].dot(n).simd_gt(f32x8::ZERO);
+            let found = self.triangles[half].nearest(simd, p);
+            let is_alike = self.normals[half].dot(n).simd_gt(of(0.0));
             distances[half] = is_alike.select(found.step.dot(found.step).sqrt(), distances[half]);
-            beyond[half] = found.weights[0].simd_eq(f32x8::ZERO).to_bitmask();
+            beyond[half] = found.weights[0].simd_eq(of(0.0)).to_bitmask();
         }
         // Which of eight is nearer no processor can predict: they are held against the nearest at once.
         let nearest = distances.into_iter().map(least).fold(f32::INFINITY, |a, b| if b < a { b } else { a });
@@ -107,8 +111,8 @@ impl Star {
             return None;
         }
         for (half, (distances, beyond)) in distances.into_iter().zip(beyond).enumerate() {
-            let slack = f32x8::splat(ROUNDING) * f32x8::from(self.long[half]);
-            let within = (distances - slack).simd_le(f32x8::splat(nearest)).to_bitmask();
+            let slack = of(ROUNDING) * f32x8::load_array(simd, self.long[half]);
+            let within = (distances - slack).simd_le(of(nearest)).to_bitmask();
             if within != 0 {
                 let i = within.trailing_zeros() as usize;
                 return Some((self.faces[half * LANES + i], beyond >> i & 1 == 1));

@@ -1,89 +1,91 @@
 //! Points and triangles, eight at a time.
 
+use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 use glam::Vec3;
-use wide::f32x8;
 
 /// Points or triangles that are looked at together.
 pub(super) const LANES: usize = 8;
 
 /// Three coordinates of eight vectors.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Vec3x8([f32x8; 3]);
+#[derive(Clone, Copy)]
+pub(super) struct Vec3x8<V: Simd>([f32x8<V>; 3]);
 
-impl Vec3x8 {
+impl<V: Simd> Vec3x8<V> {
     /// Eight times the same vector.
     #[inline(always)]
-    pub fn splat(v: Vec3) -> Self {
-        Vec3x8(v.to_array().map(f32x8::splat))
+    pub fn splat(simd: V, v: Vec3) -> Self {
+        Vec3x8([f32x8::splat(simd, v.x), f32x8::splat(simd, v.y), f32x8::splat(simd, v.z)])
     }
 
     /// From coordinates by axis.
     #[inline(always)]
-    pub fn from_axes(axes: [[f32; LANES]; 3]) -> Self {
-        Vec3x8(axes.map(f32x8::from))
+    pub fn from_axes(simd: V, axes: [[f32; LANES]; 3]) -> Self {
+        let [x, y, z] = axes;
+        Vec3x8([f32x8::load_array(simd, x), f32x8::load_array(simd, y), f32x8::load_array(simd, z)])
     }
 
     #[inline(always)]
-    pub fn dot(self, o: Self) -> f32x8 {
+    pub fn dot(self, o: Self) -> f32x8<V> {
         self.0[0] * o.0[0] + self.0[1] * o.0[1] + self.0[2] * o.0[2]
     }
 
     /// This and `t` times another.
     #[inline(always)]
-    pub fn plus(self, t: f32x8, o: Self) -> Self {
-        Vec3x8(std::array::from_fn(|i| self.0[i] + t * o.0[i]))
+    pub fn plus(self, t: f32x8<V>, o: Self) -> Self {
+        Vec3x8([self.0[0] + t * o.0[0], self.0[1] + t * o.0[1], self.0[2] + t * o.0[2]])
     }
 
     /// The sum of all eight.
     #[inline(always)]
     pub fn sum(self) -> Vec3 {
-        Vec3::from(self.0.map(sum))
+        Vec3::new(sum(self.0[0]), sum(self.0[1]), sum(self.0[2]))
     }
 }
 
 /// The sum of eight numbers, in one order on every machine.
 #[inline(always)]
-pub(super) fn sum(x: f32x8) -> f32 {
+pub(super) fn sum<V: Simd>(x: f32x8<V>) -> f32 {
     let [a, b, c, d, e, f, g, h] = x.to_array();
     ((a + e) + (b + f)) + ((c + g) + (d + h))
 }
 
 /// The least of eight numbers.
 #[inline(always)]
-pub(super) fn least(x: f32x8) -> f32 {
+pub(super) fn least<V: Simd>(x: f32x8<V>) -> f32 {
     let [a, b, c, d, e, f, g, h] = x.to_array();
     let least = |a: f32, b: f32| if a < b { a } else { b };
     least(least(least(a, e), least(b, f)), least(least(c, g), least(d, h)))
 }
 
 /// Eight triangles, each about its first corner: the edges from there, and their products.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Triangles {
-    pub ab: Vec3x8,
-    pub ac: Vec3x8,
-    bb: f32x8,
-    bc: f32x8,
-    cc: f32x8,
+#[derive(Clone, Copy)]
+pub(super) struct Triangles<V: Simd> {
+    pub ab: Vec3x8<V>,
+    pub ac: Vec3x8<V>,
+    bb: f32x8<V>,
+    bc: f32x8<V>,
+    cc: f32x8<V>,
 }
 
 /// Where eight triangles are nearest to points.
-pub(super) struct Nearest {
+pub(super) struct Nearest<V: Simd> {
     /// Weights of the corners; exactly zero for those that the place is not near to.
-    pub weights: [f32x8; 3],
+    pub weights: [f32x8<V>; 3],
     /// From the place to the point.
-    pub step: Vec3x8,
+    pub step: Vec3x8<V>,
 }
 
-impl Triangles {
-    pub fn new(ab: Vec3x8, ac: Vec3x8) -> Self {
+impl<V: Simd> Triangles<V> {
+    #[inline(always)]
+    pub fn new(ab: Vec3x8<V>, ac: Vec3x8<V>) -> Self {
         Triangles { ab, ac, bb: ab.dot(ab), bc: ab.dot(ac), cc: ac.dot(ac) }
     }
 
     /// The places that are nearest to points, which are about the first corners: as
     /// [`nearest_to_origin`](super::ground::nearest_to_origin) finds them one by one.
     #[inline(always)]
-    pub fn nearest(&self, p: Vec3x8) -> Nearest {
-        let (zero, one) = (f32x8::ZERO, f32x8::ONE);
+    pub fn nearest(&self, simd: V, p: Vec3x8<V>) -> Nearest<V> {
+        let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
         let (d1, d2) = (self.ab.dot(p), self.ac.dot(p));
         let (d3, d4) = (d1 - self.bb, d2 - self.bc);
         let (d5, d6) = (d1 - self.bc, d2 - self.cc);
@@ -91,7 +93,7 @@ impl Triangles {
         let scale = one / (va + vb + vc);
         let (mut b, mut c) = (vb * scale, vc * scale);
         let mut a = one - b - c;
-        let mut put = |is: f32x8, to: [f32x8; 3]| {
+        let mut put = |is: mask32x8<V>, to: [f32x8<V>; 3]| {
             (a, b, c) = (is.select(to[0], a), is.select(to[1], b), is.select(to[2], c));
         };
         // The first that is so is last to be put.
@@ -113,6 +115,16 @@ impl Triangles {
 mod tests {
     use super::super::ground::nearest_to_origin;
     use super::*;
+    use crate::cores::levels;
+    use fearless_simd::dispatch;
+
+    /// Weights, and steps' squared lengths.
+    #[inline(always)]
+    fn nearest_of<V: Simd>(simd: V, [b, c]: [&[Vec3]; 2], p: Vec3) -> ([[f32; LANES]; 3], [f32; LANES]) {
+        let axes = |of: &[Vec3]| Vec3x8::from_axes(simd, std::array::from_fn(|k| std::array::from_fn(|i| of[i][k])));
+        let found = Triangles::new(axes(b), axes(c)).nearest(simd, Vec3x8::splat(simd, p));
+        (found.weights.map(|w| w.to_array()), found.step.dot(found.step).to_array())
+    }
 
     #[test]
     fn eight_are_as_one() {
@@ -126,9 +138,10 @@ mod tests {
             let mut place = || Vec3::new(random(), random(), 0.3 * random());
             let (b, c): (Vec<Vec3>, Vec<Vec3>) = (0..LANES).map(|_| (place(), place())).unzip();
             let p = 1.5 * place();
-            let axes = |of: &[Vec3]| Vec3x8::from_axes(std::array::from_fn(|k| std::array::from_fn(|i| of[i][k])));
-            let found = Triangles::new(axes(&b), axes(&c)).nearest(Vec3x8::splat(p));
-            let (weights, distances_sq) = (found.weights.map(|w| w.to_array()), found.step.dot(found.step).to_array());
+            let by_level: Vec<_> =
+                levels().into_iter().map(|level| dispatch!(level, simd => nearest_of(simd, [&b, &c], p))).collect();
+            assert!(by_level.iter().all(|found| *found == by_level[0]), "the width of vectors shows");
+            let (weights, distances_sq) = by_level[0];
             for (i, (&b, &c)) in b.iter().zip(&c).enumerate() {
                 let expected = nearest_to_origin([-p, b - p, c - p]);
                 let step = p - expected[1] * b - expected[2] * c;

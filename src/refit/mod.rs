@@ -33,6 +33,7 @@ use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::samples::SAMPLE_BYTES;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, Wedges, narrow, step, widen};
 use crate::progress::{Progress, Stage};
+use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use flip::Wanted;
 use glam::Vec3;
 use ground::Ground;
@@ -41,7 +42,6 @@ use rayon::prelude::*;
 use samples::{Evidence, Point, Samples, Scanned};
 use system::{Block, System, Wishes};
 use turned::is_against;
-use wide::f32x8;
 
 /// No face, no vertex.
 const NONE: u32 = u32::MAX;
@@ -203,7 +203,7 @@ fn blocks<S: Coordinate>(
 ) -> Vec<Block> {
     let block = |f: usize| {
         let normal = ground.normal(f as u32);
-        let mut block = ask(ground, evidence, samples, f);
+        let mut block = dispatch!(Level::new(), simd => ask(simd, ground, evidence, samples, f));
         let Some(fine) = back else { return block };
         for weights in BACK {
             let point = Point::on(ground.mesh, f, weights);
@@ -219,11 +219,18 @@ fn blocks<S: Coordinate>(
 }
 
 /// What its samples ask of one face, eight of them at a time.
-fn ask<S: Coordinate>(ground: Ground<S>, evidence: &impl Evidence<S>, samples: &Samples, f: usize) -> Block {
+#[inline(always)]
+fn ask<S: Coordinate, V: Simd>(
+    simd: V,
+    ground: Ground<S>,
+    evidence: &impl Evidence<S>,
+    samples: &Samples,
+    f: usize,
+) -> Block {
     let [a, b, c] = ground.mesh.faces[f].map(|v| ground.mesh.positions[v as usize]);
     let (ab, ac) = (step(a, b), step(a, c));
-    let triangles = Triangles::new(Vec3x8::splat(ab), Vec3x8::splat(ac));
-    let mut wishes = Wishes::default();
+    let triangles = Triangles::new(Vec3x8::splat(simd, ab), Vec3x8::splat(simd, ac));
+    let mut wishes = Wishes::new(simd);
     for few in samples.of(f).chunks(LANES) {
         let (mut axes, mut weights) = ([[0.0; LANES]; 3], [0.0; LANES]);
         for (i, &k) in few.iter().enumerate() {
@@ -232,8 +239,8 @@ fn ask<S: Coordinate>(ground: Ground<S>, evidence: &impl Evidence<S>, samples: &
             (0..3).for_each(|axis| axes[axis][i] = at[axis]);
             weights[i] = point.weight;
         }
-        let found = triangles.nearest(Vec3x8::from_axes(axes));
-        wishes.add(f32x8::from(weights), found.weights, found.step);
+        let found = triangles.nearest(simd, Vec3x8::from_axes(simd, axes));
+        wishes.add(f32x8::load_array(simd, weights), found.weights, found.step);
     }
     wishes.of_face(ab.cross(ac).normalize_or_zero())
 }

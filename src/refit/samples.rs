@@ -6,6 +6,7 @@ use super::ground::{Ground, Place};
 use crate::cores::InPieces;
 use crate::mesh::groups::Groups;
 use crate::mesh::{Coordinate, IndexedMesh, Reference, SurfaceSamples, narrow, step, widen};
+use fearless_simd::{Level, Simd, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -37,6 +38,7 @@ impl<S: Coordinate> Evidence<S> for Reference<S> {
         Point::on(&self.mesh, k as usize / 3, POINTS[k as usize % 3])
     }
 
+    #[inline(always)]
     fn near(&self, k: u32) -> Option<u32> {
         let homes = self.mesh.faces[k as usize / 3].map(|v| self.homes[v as usize]);
         (k..k + 3).map(|i| homes[i as usize % 3]).find(|&home| home != NONE)
@@ -81,6 +83,7 @@ impl<S: Coordinate> Evidence<S> for Scanned<'_> {
         Point { at: self.samples.lattice.position(sample), normal: sample.direction(), weight }
     }
 
+    #[inline(always)]
     fn near(&self, k: u32) -> Option<u32> {
         Some(self.samples.samples[k as usize].near)
     }
@@ -123,16 +126,35 @@ pub(super) struct Samples {
     of_faces: Groups,
 }
 
+/// Samples that are looked up by one task.
+const TOGETHER: usize = 4096;
+
+/// The faces that samples from `first` on are nearest to, from where their vertices have gone.
+#[inline(always)]
+fn find<S: Coordinate, V: Simd>(
+    simd: V,
+    ground: Ground<S>,
+    evidence: &impl Evidence<S>,
+    first: u32,
+    faces: &mut [u32],
+) {
+    let mut around = Around::new(simd);
+    for (k, face) in (first..).zip(faces) {
+        let point = evidence.point(k);
+        let near = evidence.near(k).and_then(|v| around.near(ground, point.at, point.normal, v));
+        *face = near.unwrap_or(NONE);
+    }
+}
+
 impl Samples {
     /// Looks up every sample's nearest face: from where its vertex has gone at first, then from the face it had.
     pub fn assign<S: Coordinate>(&mut self, ground: Ground<S>, evidence: &impl Evidence<S>) {
         if self.faces.is_empty() {
-            let first = |around: &mut Around, k: u32| {
-                let point = evidence.point(k);
-                evidence.near(k).and_then(|v| around.near(ground, point.at, point.normal, v)).unwrap_or(NONE)
-            };
-            let samples = (0..evidence.count() as u32).into_par_iter().in_pieces(512);
-            samples.map_init(Around::new, first).collect_into_vec(&mut self.faces);
+            self.faces = bytemuck::zeroed_vec(evidence.count());
+            self.faces.par_chunks_mut(TOGETHER).enumerate().in_pieces(1).for_each(|(chunk, faces)| {
+                let first = (chunk * TOGETHER) as u32;
+                dispatch!(Level::new(), simd => find(simd, ground, evidence, first, faces));
+            });
         } else {
             self.faces.par_iter_mut().enumerate().in_pieces(512).filter(|(_, face)| **face != NONE).for_each(
                 |(k, face)| {
