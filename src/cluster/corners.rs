@@ -6,14 +6,15 @@
 //! if that brings their corners together. A soup's corners are binned as they come.
 
 use super::buckets::{self, Buckets};
-use super::grid::{Corner, Grid};
+use super::grid::{Corner, Grid, cell_key, place_in_cell};
 use super::join;
 use super::spill::{PageCache, Spill, SpillFile};
-use super::table::{CellTable, LastBlock};
+use super::table::{CellTable, LastBlock, block_key, place_in_block};
 use super::used::{MARKER_BYTES, Marker, Used};
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
+use fearless_simd::{Level, Simd, dispatch};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
@@ -65,9 +66,10 @@ pub(super) struct Feed<'a, K> {
 }
 
 impl<'a, K: Sink> Feed<'a, K> {
-    pub(super) fn new(sink: K, used: &'a Used) -> Self {
+    /// Faces that follow one another are neighbours where they are `coherent`.
+    pub(super) fn new(sink: K, used: &'a Used, coherent: bool) -> Self {
         let faces = Box::new([[Corner::default(); BATCH]; 3]);
-        Feed { sink, used: Marker::new(used), faces, inside: 0, across: 0, repeated: 0, nowhere: None }
+        Feed { sink, used: Marker::new(used, coherent), faces, inside: 0, across: 0, repeated: 0, nowhere: None }
     }
 
     /// A face has this vertex.
@@ -140,27 +142,71 @@ pub(super) fn bin_vertices(
     coherent: bool,
     spill: &Spill,
 ) -> Result<()> {
-    let bin = |p: &[f64; 3], last: &mut LastBlock| match grid.steps(*p) {
-        Some(steps) => Corner::new(table.number(steps, last).unwrap_or(0), steps),
-        None => Corner::NOWHERE,
-    };
     scan.vertices(crew, Vec::new, |corners: &mut Vec<Corner>, chunk| {
         if table.is_full() {
             return Ok(());
         }
         corners.clear();
         let mut last = LastBlock::default();
-        if coherent {
-            corners.extend(chunk.positions.iter().map(|p| bin(p, &mut last)));
-        } else {
-            for positions in chunk.positions.chunks(AT_ONCE) {
+        for positions in chunk.positions.chunks(AT_ONCE) {
+            if !coherent {
                 table.fetch_numbers(positions.iter().filter_map(|p| grid.steps(*p)));
-                corners.extend(positions.iter().map(|p| bin(p, &mut last)));
+            }
+            match <&[_; AT_ONCE]>::try_from(positions).ok().and_then(|positions| Split::of(grid, positions)) {
+                Some(split) => corners.extend((0..AT_ONCE).map(|i| split.bin(i, table, &mut last).unwrap_or_default())),
+                None => corners.extend(positions.iter().map(|p| bin(grid, table, *p, &mut last).unwrap_or_default())),
             }
         }
         spill.write(chunk.first, corners)
     })?;
     Ok(())
+}
+
+/// Bins a position; `None` if its cell is refused.
+fn bin(grid: &Grid, table: &CellTable, p: [f64; 3], last: &mut LastBlock) -> Option<Corner> {
+    match grid.steps(p) {
+        Some(steps) => table.number(steps, last).map(|cell| Corner::new(cell, steps)),
+        None => Some(Corner::NOWHERE),
+    }
+}
+
+/// Near positions, split into what says where they are.
+struct Split<const N: usize> {
+    steps: [[u64; N]; 3],
+    /// The keys of their blocks.
+    blocks: [u64; N],
+    /// Their cells' places there.
+    cells: [u64; N],
+    /// Their places in those.
+    places: [u64; N],
+}
+
+impl<const N: usize> Split<N> {
+    /// Of so many positions, as wide as the processor's vectors; `None` if one is not near.
+    fn of(grid: &Grid, positions: &[[f64; 3]; N]) -> Option<Self> {
+        dispatch!(Level::new(), simd => Split::in_vectors(simd, grid, positions))
+    }
+
+    #[inline(always)]
+    fn in_vectors<V: Simd>(_: V, grid: &Grid, positions: &[[f64; 3]; N]) -> Option<Self> {
+        let steps @ [x, y, z] = grid.near_steps(positions)?;
+        let (mut blocks, mut cells, mut places) = ([0; N], [0; N], [0; N]);
+        for i in 0..N {
+            let s = [x[i], y[i], z[i]];
+            blocks[i] = block_key(s);
+            cells[i] = place_in_block(s) as u64;
+            places[i] = place_in_cell(s);
+        }
+        Some(Split { steps, blocks, cells, places })
+    }
+
+    /// Bins one of them, as [`bin`] does.
+    #[inline(always)]
+    fn bin(&self, i: usize, table: &CellTable, last: &mut LastBlock) -> Option<Corner> {
+        let cell = || cell_key([self.steps[0][i], self.steps[1][i], self.steps[2][i]]);
+        let number = table.number_at(self.blocks[i], self.cells[i] as usize, cell, last)?;
+        Some(Corner::at(number, self.places[i]))
+    }
 }
 
 /// Has corners that lie anywhere brought near, so that the waits for them overlap.
@@ -182,7 +228,7 @@ pub(super) fn stream<'u, K: Sink>(
     let mut feeds = match corners {
         Corners::Resident { all, coherent } => scan.triangles(
             crew,
-            || Feed::new(sink(), used),
+            || Feed::new(sink(), used, *coherent),
             |feed, chunk| {
                 for triangles in chunk.triangles.chunks(AT_ONCE) {
                     if !coherent {
@@ -196,7 +242,7 @@ pub(super) fn stream<'u, K: Sink>(
             },
         )?,
         Corners::Sorted(all, buckets) => {
-            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used)).collect();
+            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
             feeds[0].repeated = buckets.repeated;
             buckets.stream(crew, &mut feeds, |feed, triangles| {
                 let mut corner = |v: u32| Ok(Corner(all[v as usize].load(Relaxed)));
@@ -205,7 +251,7 @@ pub(super) fn stream<'u, K: Sink>(
             feeds
         }
         Corners::Paged(spill) => {
-            let worker = || (Feed::new(sink(), used), PageCache::new(spill));
+            let worker = || (Feed::new(sink(), used, true), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
                     feed.gather(*triangle, |v| pages.get(v))?;
@@ -230,26 +276,33 @@ fn soup<'u, K: Sink>(
     used: &'u Used,
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<'u, K>>> {
-    let bin = |p: [f64; 3], last: &mut LastBlock| match grid.steps(p) {
-        Some(steps) => table.number(steps, last).map(|cell| Corner::new(cell, steps)),
-        None => Some(Corner::NOWHERE),
-    };
     scan.soup(
         crew,
-        || Feed::new(sink(), used),
+        || Feed::new(sink(), used, false),
         |feed, chunk| {
             if table.is_full() {
                 return Ok(());
             }
             let last = &mut LastBlock::default();
-            for (i, &[a, b, c]) in chunk.triangles.iter().enumerate() {
-                if a == b || b == c || c == a {
-                    feed.repeated += 1;
-                } else if let (Some(a), Some(b), Some(c)) = (bin(a, last), bin(b, last), bin(c, last)) {
-                    let face = [a, b, c];
-                    match face.iter().position(|corner| *corner == Corner::NOWHERE) {
-                        None => feed.push(face),
-                        Some(corner) => feed.miss(3 * (chunk.first + i as u64) + corner as u64),
+            for (triangles, first) in chunk.triangles.chunks(AT_ONCE).zip((chunk.first..).step_by(AT_ONCE)) {
+                let positions = triangles.as_flattened();
+                let split =
+                    <&[_; 3 * AT_ONCE]>::try_from(positions).ok().and_then(|positions| Split::of(grid, positions));
+                for (i, &[a, b, c]) in triangles.iter().enumerate() {
+                    if a == b || b == c || c == a {
+                        feed.repeated += 1;
+                        continue;
+                    }
+                    let mut bin = |corner: usize| match &split {
+                        Some(split) => split.bin(3 * i + corner, table, last),
+                        None => bin(grid, table, triangles[i][corner], last),
+                    };
+                    if let (Some(a), Some(b), Some(c)) = (bin(0), bin(1), bin(2)) {
+                        let face = [a, b, c];
+                        match face.iter().position(|corner| *corner == Corner::NOWHERE) {
+                            None => feed.push(face),
+                            Some(corner) => feed.miss(3 * (first + i as u64) + corner as u64),
+                        }
                     }
                 }
             }

@@ -11,7 +11,7 @@ use super::sampling::{SampleWorker, scramble, seed};
 use super::sums::{Gatherer, ONE_CORNER, Plane, Shares, Sums, TOGETHER};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
-use fearless_simd::{Level, Simd, dispatch, f32x4, f32x16, i32x16, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x16, i32x16, prelude::*, u32x16};
 
 /// One worker of the face pass.
 pub(super) struct FaceWorker<'a> {
@@ -44,8 +44,6 @@ struct Batch {
     /// Faces with an edge too long for 16 bits, and how many these are.
     long: [u16; BATCH],
     longs: usize,
-    /// How many samples faces ask for.
-    samples: [i32; BATCH],
     /// Cross products of the two edges.
     crosses: [[f32; BATCH]; 3],
     /// Unit normals, and weights in quanta.
@@ -90,7 +88,6 @@ impl<'a> FaceWorker<'a> {
             lots: [0; BATCH],
             long: [0; BATCH],
             longs: 0,
-            samples: [0; BATCH],
             crosses: [[0.0; BATCH]; 3],
             planes: [Plane::default(); BATCH],
             weights: [0.0; BATCH],
@@ -140,8 +137,7 @@ impl FaceWorker<'_> {
         self.batch.cross_long(faces, self.table);
         self.flat_faces += u64::from(self.batch.normalise(simd, end, self.quanta));
         if let Some(samples) = &mut self.samples {
-            self.batch.sample(end, samples.rate());
-            self.batch.ask(simd, faces, samples);
+            self.batch.sample(simd, faces, samples);
         }
         let Batch { planes, weights_rounded, shares, .. } = &*self.batch;
         if self.coherent {
@@ -252,27 +248,29 @@ impl Batch {
         }
     }
 
-    /// How many samples faces ask for: as many as their weight comes to, rounded up or down by what chance has drawn.
+    /// Has samples taken of the faces that ask for any: as many as a face's weight comes to, rounded up or down by what
+    /// chance has drawn.
     #[inline(always)]
-    fn sample(&mut self, end: usize, rate: f32) {
-        let counts = self.samples[..end].iter_mut().zip(&self.weights).zip(&self.lots);
-        for ((count, w), lot) in counts {
-            *count = (w * rate + (scramble(*lot) >> 8) as f32 * (1.0 / (1 << 24) as f32)) as i32;
-        }
-    }
-
-    /// Has samples taken of the faces that ask for any.
-    #[inline(always)]
-    fn ask<V: Simd>(&self, simd: V, faces: Faces, samples: &mut SampleWorker) {
+    fn sample<V: Simd>(&mut self, simd: V, faces: Faces, samples: &mut SampleWorker) {
         let end = faces[0].len();
+        let of = |x: f32| f32x16::splat(simd, x);
+        let rate = of(samples.rate());
+        for lot in &mut self.lots[..end] {
+            *lot = scramble(*lot) >> 8;
+        }
         for first in (0..end).step_by(WIDTH) {
-            let counts = i32x16::from_slice(simd, &self.samples[first..first + WIDTH]);
+            let some = first..first + WIDTH;
+            let lots = u32x16::from_slice(simd, &self.lots[some.clone()]).bitcast::<i32x16<V>>();
+            let chance = lots.to_float::<f32x16<V>>() * of(1.0 / (1 << 24) as f32);
+            let wanted = f32x16::from_slice(simd, &self.weights[some]) * rate + chance;
+            let counts = wanted.min(of(MOST_ROUNDED)).to_int::<i32x16<V>>();
             let mut asking = counts.simd_gt(i32x16::splat(simd, 0)).to_bitmask() & there(first, end);
+            let counts = counts.to_array();
             while asking != 0 {
-                let i = first + asking.trailing_zeros() as usize;
+                let i = asking.trailing_zeros() as usize;
                 asking &= asking - 1;
-                let face = faces.map(|corners| corners[i]);
-                samples.add(face, self.samples[i].cast_unsigned(), self.planes[i].normal());
+                let face = faces.map(|corners| corners[first + i]);
+                samples.add(face, counts[i].cast_unsigned(), self.planes[first + i].normal());
             }
         }
     }
@@ -293,7 +291,7 @@ impl Batch {
             let weight = (length * of(quanta)).max(of(1.0));
             store_planes([x * inverse, y * inverse, z * inverse, weight], &mut self.planes[some.clone()]);
             weight.store_slice(&mut self.weights[some.clone()]);
-            let rounded = weight.min(of(HEAVIEST_ROUNDED)).round_ties_even();
+            let rounded = weight.min(of(MOST_ROUNDED)).round_ties_even();
             rounded.to_int::<i32x16<V>>().store_slice(&mut self.weights_rounded[some]);
             flat += (length.simd_eq(of(0.0)).to_bitmask() & there(first, end)).count_ones();
         }
@@ -305,8 +303,8 @@ impl Batch {
 const WIDTH: usize = 16;
 const _: () = assert!(BATCH.is_multiple_of(WIDTH));
 
-/// The largest single that an integer of 32 bits holds: beyond what fits a line.
-const HEAVIEST_ROUNDED: f32 = ((1u32 << 31) - (1 << 7)) as f32;
+/// The largest single that an integer of 32 bits holds; as a weight, more than fits a line.
+const MOST_ROUNDED: f32 = ((1u32 << 31) - (1 << 7)) as f32;
 
 /// Which of the faces from `first` on are before `end`.
 #[inline(always)]

@@ -67,7 +67,7 @@ impl Place {
         self.frame
     }
 
-    /// Where samples of the scan can lie; these are its cells, if they are known by now.
+    /// Where samples of the scan can lie; these are its cells, if they are known by now (of an indexed scan, not of a soup).
     pub(super) fn lattice(&self, grid: &Grid, cells: impl ParallelIterator<Item = u64>) -> Lattice {
         let unit = |key| DVec3::from(coordinates(key).map(|x| x as f64));
         let near = cells.filter(|key| self.stray && !is_far(*key)).map(|key| (unit(key), unit(key)));
@@ -145,6 +145,22 @@ impl Grid {
         if (steps[0] | steps[1] | steps[2]) >> STEP_BITS == 0 { Some(steps) } else { far_steps(s) }
     }
 
+    /// The steps of some positions, by axis; `None` where one is not near, or none. One after the other in short loops, as
+    /// wide as the vectors of the function that this becomes a part of.
+    #[inline(always)]
+    pub(super) fn near_steps<const N: usize>(&self, positions: &[[f64; 3]; N]) -> Option<[[u64; N]; 3]> {
+        let (origin, steps_per_unit) = self.in_file?;
+        let (frame, origin) = (self.frame.origin().to_array(), origin.to_array());
+        let (mut steps, mut all) = ([[0; N]; 3], 0);
+        for axis in 0..3 {
+            for (steps, p) in steps[axis].iter_mut().zip(positions) {
+                *steps = round((p[axis] - frame[axis] - origin[axis]) * steps_per_unit);
+                all |= *steps;
+            }
+        }
+        (all >> STEP_BITS == 0).then_some(steps)
+    }
+
     #[cold]
     fn framed_steps(&self, p: [f64; 3]) -> DVec3 {
         (self.frame.place(DVec3::from(p)) - self.origin) * self.steps_per_unit
@@ -182,6 +198,13 @@ fn round(x: f64) -> u64 {
 #[inline(always)]
 pub(super) fn cell_key(s: Steps) -> u64 {
     (s[0] >> LOCAL_BITS) | (s[1] >> LOCAL_BITS) << COORDINATE_BITS | (s[2] >> LOCAL_BITS) << (2 * COORDINATE_BITS)
+}
+
+/// The place of a position within its cell, [`LOCAL_BITS`] an axis.
+#[inline(always)]
+pub(super) fn place_in_cell(s: Steps) -> u64 {
+    const MASK: u64 = (1 << LOCAL_BITS) - 1;
+    (s[0] & MASK) << (2 * LOCAL_BITS) | (s[1] & MASK) << LOCAL_BITS | (s[2] & MASK)
 }
 
 /// A key's cell coordinates, for what is not far.
@@ -238,9 +261,13 @@ impl Corner {
     /// Of a position in cell number `cell`.
     #[inline(always)]
     pub(super) fn new(cell: u32, s: Steps) -> Self {
-        const MASK: u64 = (1 << LOCAL_BITS) - 1;
-        let local = (s[0] & MASK) << (2 * LOCAL_BITS) | (s[1] & MASK) << LOCAL_BITS | (s[2] & MASK);
-        Corner(u64::from(cell) << (3 * LOCAL_BITS) | local)
+        Corner::at(cell, place_in_cell(s))
+    }
+
+    /// At a [`place_in_cell`] of cell number `cell`.
+    #[inline(always)]
+    pub(super) fn at(cell: u32, place: u64) -> Self {
+        Corner(u64::from(cell) << (3 * LOCAL_BITS) | place)
     }
 
     /// The cell's number.
@@ -289,6 +316,8 @@ mod tests {
                 let back = grid.position(cell_key(s), local) - p / 8.0;
                 assert!(back.abs().max_element() <= 0.5001 * grid.cell / STEPS, "{p} moved by {back}");
                 assert_eq!(absolute(corner, cell_key(s)), s.map(|x| x as i64));
+                assert_eq!(grid.near_steps(&[p.to_array(); 2]).unwrap(), s.map(|x| [x; 2]));
+                assert_eq!(grid.near_steps(&[p.to_array(), [0.0, f64::NAN, 5e5]]), None);
             }
         }
     }

@@ -74,7 +74,7 @@ pub(super) fn stream<'u, K: Sink>(
 ) -> Result<Vec<Feed<'u, K>>> {
     let cut = Cut::new(spill.vertices(), resident_bytes);
     let mut waiting = Buckets::fill(scan, crew, scratch)?;
-    let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used)).collect();
+    let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
     feeds[0].repeated = waiting.repeated;
     let partial: [Vec<Run>; 2] = std::array::from_fn(|_| (0..cut.ranges()).map(|_| Run::default()).collect());
     let mut corners = vec![Corner::default(); cut.span(0).1];

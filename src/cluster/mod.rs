@@ -93,7 +93,7 @@ pub struct ClusterOptions {
     pub representative: Representative,
     /// Cells that are to hold a vertex, at most and nearly.
     pub cells: usize,
-    /// So many are enough. Where that is fewer, an indexed scan's vertices are passed over once: cells are as large as the
+    /// So many are enough. Where that is fewer, vertices (of a soup: faces) are passed over once: cells are as large as the
     /// sample suggests, and are counted while vertices are binned.
     pub enough_cells: usize,
     /// Surviving faces that may be held, coincident ones included.
@@ -354,6 +354,10 @@ impl Run<'_> {
         if table.is_full() {
             drop((table, sums, survivors));
             return self.overflowed(&grid, sizing);
+        }
+        if spill.is_none() && !sizing.has_learnt() && table.len() < self.options.enough_cells {
+            sizing.learn(grid.cell, table.len() as f64, table.blocks() as f64);
+            return Ok(None);
         }
         if survivors.overflowed() {
             return Ok(self.coarsen(sizing, survivors.count() as f64 / (self.options.raw_faces as f64).max(1.0)));

@@ -2,7 +2,7 @@
 
 use super::Representative;
 use super::grid::Grid;
-use super::sums::{LANES, Totals};
+use super::sums::{AT_ONCE, LANES, Totals};
 use super::table::CellTable;
 use crate::cores::InPieces;
 use crate::mesh::{Coordinate, narrow, widen};
@@ -27,9 +27,15 @@ pub(super) struct Evidence<'a> {
 impl Evidence<'_> {
     /// Positions and quadrics of `cells`, in their order.
     pub(super) fn represent<S: Coordinate>(&self, cells: &[u32]) -> (Vec<[S; 3]>, Vec<PackedQuadric>) {
-        let (mut positions, mut quadrics) = (Vec::new(), Vec::new());
-        let placed = cells.par_iter().in_pieces(256).map(|cell| self.of(*cell));
-        placed.unzip_into_vecs(&mut positions, &mut quadrics);
+        let mut positions: Vec<[S; 3]> = bytemuck::zeroed_vec(cells.len());
+        let mut quadrics: Vec<PackedQuadric> = bytemuck::zeroed_vec(cells.len());
+        let places = positions.par_chunks_mut(AT_ONCE).zip(quadrics.par_chunks_mut(AT_ONCE));
+        cells.par_chunks(AT_ONCE).zip(places).in_pieces(4).for_each(|(cells, (positions, quadrics))| {
+            self.totals.fetch(cells);
+            for (cell, place) in cells.iter().zip(positions.iter_mut().zip(quadrics)) {
+                (*place.0, *place.1) = self.of(*cell);
+            }
+        });
         (positions, quadrics)
     }
 

@@ -35,7 +35,7 @@ const LIMIT: i64 = (1 << 31) - (1 << 20);
 const HEAVIEST: f32 = (1u64 << 48) as f32;
 
 /// Lines that are fetched together: few enough for the first-level cache.
-const AT_ONCE: usize = 64;
+pub(super) const AT_ONCE: usize = 64;
 
 /// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.
 const CACHED: usize = 2048;
@@ -280,7 +280,7 @@ impl<'a> Gatherer<'a> {
     ) {
         for begin in (0..shares.count).step_by(AT_ONCE) {
             let end = shares.count.min(begin + AT_ONCE);
-            self.sums.fetch(&shares.cells[begin..end]);
+            fetch(&self.sums.lines, &shares.cells[begin..end]);
             for first in (begin..end).step_by(TOGETHER) {
                 let quanta = quanta(simd, planes, shares, first);
                 for (at, quanta) in (first..end).zip(&quanta) {
@@ -330,7 +330,7 @@ impl Leaving {
     #[inline(never)]
     fn flush(&mut self, sums: &Sums) {
         let owners = &self.owners[..std::mem::take(&mut self.count)];
-        sums.fetch(owners);
+        fetch(&sums.lines, owners);
         for (line, owner) in self.lines.iter().zip(owners) {
             sums.add(*owner, &line.0);
         }
@@ -377,13 +377,6 @@ impl Sums {
         self.overflowed.load(Relaxed)
     }
 
-    /// Brings cells' lines near, so that the waits for them overlap.
-    #[inline(always)]
-    fn fetch(&self, cells: &[u32]) {
-        let poisoned = |cell: &u32| self.lines.get(*cell as usize).is_some_and(|line| line.0.is_poisoned());
-        std::hint::black_box(cells.iter().fold(false, |any, cell| any | poisoned(cell)));
-    }
-
     #[inline(always)]
     fn add(&self, owner: u32, gathered: &[i32; PADDED]) {
         let gathered = unpad(gathered);
@@ -426,6 +419,13 @@ impl Sums {
     }
 }
 
+/// Brings cells' lines near, so that the waits for them overlap.
+#[inline(always)]
+fn fetch(lines: &[Line], cells: &[u32]) {
+    let poisoned = |cell: &u32| lines.get(*cell as usize).is_some_and(|line| line.0.is_poisoned());
+    std::hint::black_box(cells.iter().fold(false, |any, cell| any | poisoned(cell)));
+}
+
 /// The sums of all cells, complete.
 pub(super) struct Totals {
     lines: Vec<Line>,
@@ -433,6 +433,11 @@ pub(super) struct Totals {
 }
 
 impl Totals {
+    /// Brings cells' sums near, for those who ask for all of them next.
+    pub(super) fn fetch(&self, cells: &[u32]) {
+        fetch(&self.lines, cells);
+    }
+
     /// A cell's sums, in the order of [`LANES`].
     pub(super) fn of(&self, cell: u32) -> [i64; LANES] {
         let line = self.lines[cell as usize].0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());

@@ -58,7 +58,7 @@ pub(super) fn survey<S: Coordinate>(
     let frame = Frame::around::<S>(&bulk);
     let mut sizing = Sizing::of(sample, frame, scan, cells);
     let mut place = Place::about(frame, &bulk, lowest(sample, &bulk));
-    if scan.layout() == Layout::Indexed && !all_alike && enough < cells {
+    if !all_alike && enough < cells {
         sizing.expect(1.0 / OVER);
         return Ok((place, sizing));
     }

@@ -78,13 +78,25 @@ impl CellTable {
     /// where the position before was in the same block.
     #[inline(always)]
     pub(super) fn number(&self, s: Steps, last: &mut LastBlock) -> Option<u32> {
-        let key = block_key(s) + 1;
+        self.number_at(block_key(s), place_in_block(s), || cell_key(s), last)
+    }
+
+    /// The same, of the cell at a [`place_in_block`] of a block.
+    #[inline(always)]
+    pub(super) fn number_at(
+        &self,
+        block: u64,
+        place: usize,
+        cell: impl FnOnce() -> u64,
+        last: &mut LastBlock,
+    ) -> Option<u32> {
+        let key = block + 1;
         if last.key != key {
             *last = LastBlock { key, slot: self.slot(key)? };
         }
-        let entry = &self.numbers[last.slot * 64 + place_in_block(s)];
+        let entry = &self.numbers[last.slot * 64 + place % 64];
         match entry.load(Acquire) {
-            0 | PENDING | REFUSED => self.hand_out(entry, cell_key(s)),
+            0 | PENDING | REFUSED => self.hand_out(entry, cell()),
             number => Some(number - 1),
         }
     }
@@ -246,7 +258,7 @@ pub(super) fn block_key(s: Steps) -> u64 {
 
 /// A cell's place among the 64 of its block, in Morton order.
 #[inline(always)]
-fn place_in_block(s: Steps) -> usize {
+pub(super) fn place_in_block(s: Steps) -> usize {
     let bits = |x: u64| (x >> LOCAL_BITS & 1) | (x >> (LOCAL_BITS + 1) & 1) << 3;
     (bits(s[0]) | bits(s[1]) << 1 | bits(s[2]) << 2) as usize
 }

@@ -62,38 +62,80 @@ impl Used {
 const HELD_BACK: usize = 256;
 
 /// Bytes of a [`Marker`].
-pub(super) const MARKER_BYTES: usize = HELD_BACK * 12;
+pub(super) const MARKER_BYTES: usize = HELD_BACK * (4 + 64);
 
-/// A worker's end of a [`Used`]: faces that follow one another use the same few words of vertices again and again.
-/// Nothing counts until [`Marker::flush`].
+/// A worker's end of a [`Used`]. Nothing counts until [`Marker::flush`].
 pub(super) struct Marker<'a> {
     used: &'a Used,
+    held: Option<Held>,
+}
+
+/// Faces that follow one another use the same few words of vertices again and again.
+struct Held {
     /// The number of each held word.
     numbers: Box<[u32; HELD_BACK]>,
-    words: Box<[u64; HELD_BACK]>,
+    /// Held words, a byte a bit: a byte is only ever written. A bit would have to wait for the one before it in its word,
+    /// which is most often the one of the corner before.
+    bytes: Box<[[u8; 64]; HELD_BACK]>,
 }
 
 impl<'a> Marker<'a> {
-    pub(super) fn new(used: &'a Used) -> Self {
-        Marker { used, numbers: Box::new([0; HELD_BACK]), words: Box::new([0; HELD_BACK]) }
+    /// For faces that are `coherent`, or from anywhere: nothing is held back of those.
+    pub(super) fn new(used: &'a Used, coherent: bool) -> Self {
+        let held = || Held { numbers: Box::new([0; HELD_BACK]), bytes: Box::new([[0; 64]; HELD_BACK]) };
+        Marker { used, held: coherent.then(held) }
     }
 
     /// Adds a vertex.
     #[inline(always)]
     pub(super) fn add(&mut self, vertex: u32) {
-        let number = vertex / 64;
+        let (number, bit) = (vertex / 64, vertex % 64);
+        let Some(held) = &mut self.held else { return self.used.add(number, 1 << bit) };
         let slot = number as usize % HELD_BACK;
-        if self.numbers[slot] != number {
-            self.used.add(self.numbers[slot], std::mem::take(&mut self.words[slot]));
-            self.numbers[slot] = number;
+        if held.numbers[slot] != number {
+            held.hand_on(slot, self.used);
+            held.numbers[slot] = number;
         }
-        self.words[slot] |= 1 << (vertex % 64);
+        held.bytes[slot][bit as usize] = 1;
     }
 
     /// Hands on all that was held back.
     pub(super) fn flush(&mut self) {
-        for (number, word) in self.numbers.iter().zip(&mut *self.words) {
-            self.used.add(*number, std::mem::take(word));
+        if let Some(held) = &mut self.held {
+            (0..HELD_BACK).for_each(|slot| held.hand_on(slot, self.used));
+        }
+    }
+}
+
+impl Held {
+    /// Hands on what was held back of a word.
+    #[inline(never)]
+    fn hand_on(&mut self, slot: usize, used: &Used) {
+        let bytes = std::mem::replace(&mut self.bytes[slot], [0; 64]);
+        // Of eight bytes that are 0 or 1, the upmost of the product has the bits.
+        let bits = |eight: &[u8; 8]| u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+        let word = bytes.as_chunks::<8>().0.iter().rev().fold(0, |word, eight| word << 8 | bits(eight));
+        used.add(self.numbers[slot], word);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_vertex_that_is_added_counts_once() {
+        let used = Used((0..1000).map(|_| AtomicU64::new(0)).collect());
+        let vertices: Vec<u32> = (0..64_000u32).filter(|v| v * v % 7 < 3 || v % 1000 > 990).collect();
+        let (mut one, mut other) = (Marker::new(&used, true), Marker::new(&used, false));
+        for v in vertices.iter().chain(vertices.iter().rev()) {
+            if v % 3 == 0 { one.add(*v) } else { other.add(*v) }
+        }
+        one.flush();
+        other.flush();
+        assert_eq!(used.unused(64_000), Some(64_000 - vertices.len() as u64));
+        for v in 0..64_000 {
+            assert_eq!(used.word(v) >> (v % 64) & 1 == 1, vertices.binary_search(&v).is_ok(), "{v}");
         }
     }
 }
