@@ -97,8 +97,8 @@ impl<S: Coordinate> Surface<S> {
     fn sides(&self, a: u32, b: u32) -> Option<[u32; 2]> {
         let (mut first, mut last, mut count) = (u32::MAX, 0, 0);
         for &corner in self.stars.of(a) {
-            let (f, (p, q)) = (corner >> 2, self.ends(corner));
-            let has_b = (p == b) | (q == b);
+            let f = corner >> 2;
+            let has_b = self.has(f, b);
             first = first.min(if has_b { f } else { u32::MAX });
             last = if has_b { f } else { last };
             count += u32::from(has_b);

@@ -132,6 +132,13 @@ impl<S: Coordinate> Surface<S> {
         self.marks[v as usize].load(Relaxed)
     }
 
+    /// Whether `v` is a corner of a face, without a branch.
+    #[inline(always)]
+    pub fn has(&self, f: u32, v: u32) -> bool {
+        let [a, b, c] = self.faces[f as usize];
+        (a == v) | (b == v) | (c == v)
+    }
+
     /// Twice the area times the unit normal of a face.
     #[inline(always)]
     pub fn normal(&self, f: u32) -> DVec3 {
@@ -148,10 +155,7 @@ impl<S: Coordinate> Surface<S> {
 
     /// Faces at both `a` and `b`.
     pub fn shared(&self, around: &impl Around, a: u32, b: u32) -> impl Iterator<Item = u32> {
-        let has_b = move |&&corner: &&u32| {
-            let (p, q) = self.ends(corner);
-            (p == b) | (q == b)
-        };
+        let has_b = move |&&corner: &&u32| self.has(corner >> 2, b);
         around.of(a).iter().filter(has_b).map(|&corner| corner >> 2)
     }
 
