@@ -73,18 +73,6 @@ pub trait InPieces: IndexedParallelIterator {
 
 impl<I: IndexedParallelIterator> InPieces for I {}
 
-/// The widths of vectors that tests can try here, the narrowest first. What is worked out is the same by each.
-#[cfg(test)]
-pub fn levels() -> Vec<fearless_simd::Level> {
-    use fearless_simd::Level;
-    let here = Level::new();
-    #[cfg(target_arch = "x86_64")]
-    let narrower = [here.as_sse4_2().map(fearless_simd::Simd::level), here.as_avx2().map(fearless_simd::Simd::level)];
-    #[cfg(not(target_arch = "x86_64"))]
-    let narrower = [None; 2];
-    [Some(Level::baseline())].into_iter().chain(narrower).flatten().chain([here]).collect()
-}
-
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;

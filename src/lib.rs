@@ -28,7 +28,7 @@
 //! | [`bench`](mod@bench) | models, or counts | how long stages take, beside Garland's thesis |
 //!
 //! **Direction.** `main` → [`job`], [`pipeline`] → [`plan`] → stages → [`mesh`], [`quadric`], [`scratch`], [`budget`],
-//! [`progress`], `cores` → [`error`]. Stages do not import one another, save that `cluster`, `carry`, `measure`, `inspect` and `picture`
+//! [`progress`], `cores`, `vectors` → [`error`]. Stages do not import one another, save that `cluster`, `carry`, `measure`, `inspect` and `picture`
 //! stream through `read`, `measure`, `tiles` and the votes of `carry` by way of `facets`, which brings faces the positions of their corners; none of them knows [`job`] or [`report`]. The library is silent: stages count, `report` words, `main` prints.
 //!
 //! **Invariant:** the same scan, options and budget give the same bytes, whatever the threads and the machine. Chunks and
@@ -76,6 +76,7 @@ pub mod report;
 pub mod scratch;
 pub mod synth;
 pub mod tiles;
+mod vectors;
 pub mod write;
 
 pub use error::{Error, Result};

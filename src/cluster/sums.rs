@@ -13,6 +13,7 @@
 
 use super::grid::{FIELD_BITS, STEPS};
 use crate::cores::InPieces;
+use crate::vectors;
 use fearless_simd::{Simd, f32x4, f32x16, i32x16, prelude::*, u32x16, u64x8};
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
@@ -175,11 +176,8 @@ fn columns<V: Simd>(simd: V, planes: [&Plane; TOGETHER]) -> [f32x16<V>; 4] {
 /// The same of four of them.
 #[inline(always)]
 fn quarter<V: Simd>(simd: V, planes: [&Plane; TOGETHER], first: usize) -> [f32x4<V>; 4] {
-    let (a, b) = (f32x4::load_array_ref(simd, &planes[first].0), f32x4::load_array_ref(simd, &planes[first + 1].0));
-    let (c, d) = (f32x4::load_array_ref(simd, &planes[first + 2].0), f32x4::load_array_ref(simd, &planes[first + 3].0));
-    let ((ac_low, ac_high), (bd_low, bd_high)) = (a.interleave(c), b.interleave(d));
-    let ((x, y), (z, w)) = (ac_low.interleave(bd_low), ac_high.interleave(bd_high));
-    [x, y, z, w]
+    let row = |i: usize| f32x4::load_array_ref(simd, &planes[first + i].0);
+    vectors::transposed([row(0), row(1), row(2), row(3)])
 }
 
 /// Rows as columns.
@@ -471,7 +469,7 @@ impl Totals {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cores::levels;
+    use crate::vectors::levels;
     use fearless_simd::{Level, dispatch};
 
     /// A share by itself: its plane, its cell and its place.

@@ -274,8 +274,8 @@ mod tests {
     use crate::collapse::place::optimal;
     use crate::collapse::surface::TOUCHED;
     use crate::collapse::surface::tests::{bumps, with_roots};
-    use crate::cores::levels;
     use crate::quadric::Quadric;
+    use crate::vectors::levels;
     use glam::DVec3;
     use std::sync::atomic::Ordering::Relaxed;
 

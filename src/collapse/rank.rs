@@ -3,6 +3,7 @@
 use super::surface::{STEP, Surface, at_most_refused, settled};
 use crate::mesh::{Coordinate, step};
 use crate::quadric::PackedQuadric;
+use crate::vectors::transposed;
 use fearless_simd::{Simd, f32x4, f32x8, prelude::*};
 use glam::Vec3;
 
@@ -34,14 +35,6 @@ pub(super) fn columns<V: Simd, const N: usize>(simd: V, numbers: [&[f32; N]; LAN
     let [a, b, c, d, e, f, g, h] = rows;
     let ([a, b, c, d], [e, f, g, h]) = (transposed([a, b, c, d]), transposed([e, f, g, h]));
     [a.combine(e), b.combine(f), c.combine(g), d.combine(h)]
-}
-
-/// Rows as columns.
-#[inline(always)]
-pub(super) fn transposed<V: Simd>([a, b, c, d]: [f32x4<V>; 4]) -> [f32x4<V>; 4] {
-    let ((ac_low, ac_high), (bd_low, bd_high)) = (a.interleave(c), b.interleave(d));
-    let ((first, second), (third, fourth)) = (ac_low.interleave(bd_low), ac_high.interleave(bd_high));
-    [first, second, third, fourth]
 }
 
 /// The least values of sums of quadrics, of `p` with each of some others `steps` away, at the middles between their origins
@@ -86,7 +79,7 @@ fn least_of_three<S: Coordinate, V: Simd>(
 mod tests {
     use super::*;
     use crate::collapse::surface::tests::{MIDDLE, bumps};
-    use crate::cores::levels;
+    use crate::vectors::levels;
     use fearless_simd::dispatch;
     use glam::DVec3;
 

@@ -115,7 +115,7 @@ impl<V: Simd> Triangles<V> {
 mod tests {
     use super::super::ground::nearest_to_origin;
     use super::*;
-    use crate::cores::levels;
+    use crate::vectors::levels;
     use fearless_simd::dispatch;
 
     /// Weights, and steps' squared lengths.
