@@ -496,7 +496,17 @@ mod tests {
 
     /// What a share adds, lane by lane.
     fn lanes_of((plane, _, place): &Share) -> [f32; LANES] {
-        unpad(&row(plane, plane.weight(), *place))
+        let [x, y, z, w] = plane.0;
+        let [px, py, pz, corners] = [0, 16, 32, 48].map(|shift| f32::from((place >> shift) as u16));
+        let p = [px, py, pz].map(|sum| sum * (1.0 / (corners * 8192.0)) - 0.5);
+        let u = [x, y, z, -((x * p[0] + y * p[1]) + z * p[2])];
+        let m = u.map(|x| x * w);
+        let quadric = [(0, 0), (1, 0), (2, 0), (3, 0), (1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (3, 3)];
+        std::array::from_fn(|i| match i {
+            ..WEIGHT => u[quadric[i].0] * m[quadric[i].1],
+            WEIGHT => w,
+            _ => p[i - WEIGHT - 1] * w,
+        })
     }
 
     #[inline(always)]
