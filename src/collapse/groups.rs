@@ -2,10 +2,12 @@
 //!
 //! Where the order of collapses hardly matters, more than an edge can go at a time: every vertex looks for its cheapest edge;
 //! two that prefer one another lead a group, and those follow who prefer one of the two, or one who follows. That moves four
-//! vertices in five in one turn, with one look at each edge; a matching takes three turns to move nine in ten of half as
-//! many. Edges are ranked by what their ends have learnt, without current quadrics and without keeping any cost.
+//! vertices in five in one turn, with one look at each edge. Nearer, where those who follow would cost closeness, it is a
+//! matching as in [`pairs`](super::pairs): whoever is left looks again at who else is. Edges are ranked by what their ends have
+//! learnt, without current quadrics and without keeping any cost.
 
 use super::batch::{Batch, Edges, NONE, cheapest};
+use super::pairs::TURNS;
 use super::rank::LANES;
 use super::surface::Surface;
 use super::{Options, Stride};
@@ -22,7 +24,10 @@ pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, 
     let free = costs.par_iter().in_pieces(4096).filter(|cost| cost.is_finite()).count();
     let limit = super::limit(&costs, (stride.share * free as f64) as u64);
     let limit = options.part.map_or(limit, |part| limit.min(part.most_cost));
-    follow(batch, &costs, limit, stride.longest);
+    match stride.longest {
+        0 => pair(batch, surface, &costs, limit, options.locks()),
+        longest => follow(batch, &costs, limit, longest),
+    }
     drop(costs);
     settle(batch, surface);
     batch.take_back_folds(surface, 1);
@@ -100,6 +105,62 @@ impl<S: Coordinate, V: Simd> Edges for Ranked<'_, S, V> {
                 }
             }
         }
+    }
+}
+
+/// Who goes with whom, among those whose cheapest edge is not above `limit`: ends of edges that both prefer, in some turns.
+/// The order of a group of two is what its members prefer.
+fn pair<S: Coordinate>(batch: &Batch<S>, surface: &Surface<S>, costs: &[f32], limit: f32, locks: bool) {
+    let (next, leaders) = (&batch.next, &batch.leaders);
+    let prefers = |v: u32| next[v as usize].load(Relaxed);
+    let take = |v: u32| {
+        let u = prefers(v);
+        if v < u && u != NONE && prefers(u) == v {
+            [v, u].into_iter().for_each(|member| leaders[member as usize].store(v, Relaxed));
+        }
+    };
+    let is_left = |v: &u32| !batch.moves(*v) && prefers(*v) != NONE;
+    let within = (0..costs.len() as u32).into_par_iter().in_pieces(4096).filter(|v| costs[*v as usize] <= limit);
+    within.clone().for_each(take);
+    let mut left: Vec<u32> = within.filter(is_left).collect();
+    for _ in 1..TURNS {
+        left.par_chunks(LOOKING).in_pieces(1).for_each(|vertices| {
+            dispatch!(Level::new(), simd => look_again(simd, batch, surface, locks, vertices, limit));
+        });
+        left.par_iter().in_pieces(4096).for_each(|v| take(*v));
+        left = left.into_par_iter().in_pieces(4096).filter(is_left).collect();
+    }
+}
+
+/// Those of `vertices` who prefer somebody who has gone with another look for somebody else.
+#[inline(always)]
+fn look_again<S: Coordinate, V: Simd>(
+    simd: V,
+    batch: &Batch<S>,
+    surface: &Surface<S>,
+    locks: bool,
+    vertices: &[u32],
+    limit: f32,
+) {
+    for &v in vertices {
+        let best = &batch.next[v as usize];
+        if batch.moves(best.load(Relaxed)) {
+            let free = Free { all: Ranked { simd, surface, v, locks }, batch };
+            best.store(cheapest(v, limit.to_bits() + 1, &free).1, Relaxed);
+        }
+    }
+}
+
+/// Of some edges those to whom has not gone with another.
+struct Free<'a, S, E> {
+    all: E,
+    batch: &'a Batch<S>,
+}
+
+impl<S: Coordinate, E: Edges> Edges for Free<'_, S, E> {
+    #[inline(always)]
+    fn each(&self, mut take: impl FnMut(u32, u32)) {
+        self.all.each(|cost, u| take(if self.batch.moves(u) { u32::MAX } else { cost }, u));
     }
 }
 

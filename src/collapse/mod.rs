@@ -2,9 +2,10 @@
 //!
 //! **The loop** (thesis §3.4, with the batches of §9.2): rank the edges → limit the round to the cheaper ones → select
 //! a batch → take back what folds → commit → compact. Far from the target a batch is of groups of up to a dozen
-//! vertices and a round takes three fifths of all; within five times the target it is a matching, of edges whose costs
-//! are kept from round to round, and takes up to 45 %; the last ones go one at a time from a heap, so that the count is
-//! exact: the target or one below it on manifolds, at most two below elsewhere.
+//! vertices and a round takes three fifths of all; within thirty times the target it is a matching, and takes a fifth;
+//! within five times one of edges whose costs are kept from round to round, and takes up to 45 %; the last ones go one
+//! at a time from a heap, so that the count is exact: the target or one below it on manifolds, at most two below
+//! elsewhere.
 //!
 //! **The cost.** Every vertex carries what it has *learnt* of the scan: the sum of the area-weighted quadrics of all
 //! faces it stands for (thesis §3.4), from clustering where the scan was clustered. Down to five times the target,
@@ -222,7 +223,7 @@ struct Stride {
     /// Vertices that may move, those with the cheapest edges first, as a share. Without any limit rounds would thin a
     /// finely and a coarsely meshed part alike, and a scan of uneven density would lose its coarse part.
     share: f64,
-    /// Steps from a vertex to the pair that it follows.
+    /// Steps from a vertex to the pair that it follows, at most; without any, those left over pair up among themselves.
     longest: usize,
 }
 

@@ -22,8 +22,8 @@ use std::sync::atomic::Ordering::Relaxed;
 /// A preference that must be looked for.
 const ASK: u32 = u32::MAX - 1;
 
-/// Turns of the matching in one round. On a scan of 1.2 M faces they took 70, 25 and 5 % of a batch; a fourth would add 1 %.
-const TURNS: usize = 3;
+/// Turns of a matching in one round. On a scan of 1.2 M faces they took 70, 25 and 5 % of a batch; a fourth would add 1 %.
+pub(super) const TURNS: usize = 3;
 
 /// Chooses pairs among the edges of at most `limit`; costs of refused collapses are marked as such.
 pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &mut Surface<S>, limit: f32, options: &Options) {

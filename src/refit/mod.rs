@@ -50,9 +50,9 @@ const NONE: u32 = u32::MAX;
 /// noise.
 pub const LEAST_RATIO: usize = 3;
 
-/// Samples of the scan for each face of the result. At 24 E_avg is 2 % more, at 10 9 %, at 5 a fifth; 48 gain
-/// half a percent.
-pub const SAMPLES: usize = 40;
+/// Samples of the scan for each face of the result. 40 take 1.6 % off E_avg on a scan of 27.6 M faces, for a fourteenth of the
+/// time of all; at 10 it is 7 % more, at 5 a fifth.
+pub const SAMPLES: usize = 24;
 /// With fewer of them the reference is better.
 pub const LEAST_SAMPLES: usize = 4;
 
