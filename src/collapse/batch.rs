@@ -7,10 +7,11 @@
 //! a face that folds over, one is taken back (by a hash: any rule that threads cannot change will do), until none folds.
 
 use super::place::optimal;
-use super::surface::{Surface, turned};
+use super::surface::{LEAST_COSINE, Surface, turned};
 use crate::cores::InPieces;
 use crate::mesh::marked::Marked;
 use crate::mesh::{Coordinate, narrow, step};
+use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -107,9 +108,14 @@ impl<S: Coordinate> Batch<S> {
     pub fn take_back_folds(&mut self, surface: &Surface<S>, least_moving: usize) {
         let faces = surface.faces.len();
         let folded = |this: &Self, f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
-        let mut back = {
+        let mut back: Vec<u32> = {
             let this = &*self;
-            (0..faces as u32).into_par_iter().in_pieces(4096).filter_map(|f| folded(this, f)).collect::<Vec<_>>()
+            let folded = |faces: &[[u32; 3]]| {
+                let mut back = Vec::new();
+                dispatch!(Level::new(), simd => this.all_folded(simd, surface, faces, least_moving, &mut back));
+                back
+            };
+            surface.faces.par_chunks(CHECKED).in_pieces(1).flat_map_iter(folded).collect()
         };
         if back.is_empty() {
             return;
@@ -169,6 +175,61 @@ impl<S: Coordinate> Batch<S> {
         narrow(at + optimal(&surface.merged(members, at), middle, steps).step)
     }
 
+    /// What [`Batch::folded`] says of some faces, as far as it says anything.
+    #[inline(always)]
+    fn all_folded<V: Simd>(
+        &self,
+        simd: V,
+        surface: &Surface<S>,
+        faces: &[[u32; 3]],
+        least_moving: usize,
+        back: &mut Vec<u32>,
+    ) {
+        let (together, rest) = faces.as_chunks::<LANES>();
+        for faces in together {
+            let mut doubtful = self.may_fold(simd, surface, faces, least_moving);
+            while doubtful != 0 {
+                let face = &faces[doubtful.trailing_zeros() as usize % LANES];
+                doubtful &= doubtful - 1;
+                back.extend(self.folded(surface, face, least_moving));
+            }
+        }
+        back.extend(rest.iter().filter_map(|face| self.folded(surface, face, least_moving)));
+    }
+
+    /// Which of these faces the batch may fold over, a bit each: all that it does, and hardly one that it does not. Whether a
+    /// face vanishes, or which of its corners move, is as good as random, so it is told without a branch.
+    #[inline(always)]
+    fn may_fold<V: Simd>(&self, simd: V, surface: &Surface<S>, faces: &[[u32; 3]; LANES], least_moving: usize) -> u64 {
+        let mut asking = 0;
+        // The edges from the first corner, before and after, each axis side by side.
+        let mut edges = [[[0f32; LANES]; 3]; 4];
+        for (lane, face) in faces.iter().enumerate() {
+            let [a, b, c] = [self.leader(face[0]), self.leader(face[1]), self.leader(face[2])];
+            let moving = usize::from(a != NONE) + usize::from(b != NONE) + usize::from(c != NONE);
+            let vanishes = (a != NONE) & ((a == b) | (a == c)) | (b != NONE) & (b == c);
+            asking |= u64::from((moving >= least_moving) & !vanishes) << lane;
+            let place = |v: u32, leader: u32| {
+                let (places, at) = if leader == NONE { (&surface.positions, v) } else { (&self.spots, leader) };
+                places[at as usize]
+            };
+            let was = [0, 1, 2].map(|i| surface.positions[face[i] as usize]);
+            let would = [place(face[0], a), place(face[1], b), place(face[2], c)];
+            let steps =
+                [step(was[0], was[1]), step(was[0], was[2]), step(would[0], would[1]), step(would[0], would[2])];
+            for (edge, step) in edges.iter_mut().zip(steps) {
+                (edge[0][lane], edge[1][lane], edge[2][lane]) = (step.x, step.y, step.z);
+            }
+        }
+        let [u, v, to_u, to_v] = &edges;
+        let (was, would) = (cross(simd, u, v), cross(simd, to_u, to_v));
+        let (was_sq, would_sq) = (dot(&was, &was), dot(&would, &would));
+        let least = f32x8::splat(simd, SURE_COSINE) * (was_sq.sqrt() * would_sq.sqrt());
+        let is_exact = was_sq.min(would_sq).simd_gt(f32x8::splat(simd, f32::MIN_POSITIVE / f32::EPSILON));
+        let surely_not = dot(&was, &would).simd_gt(least) & is_exact;
+        asking & !surely_not.to_bitmask()
+    }
+
     /// If the batch folds `face` over: one of its corners that would better stay, a leader only if there is no other.
     #[inline(always)]
     fn folded(&self, surface: &Surface<S>, face: &[u32; 3], least_moving: usize) -> Option<u32> {
@@ -195,6 +256,27 @@ impl<S: Coordinate> Batch<S> {
     pub fn spare(&mut self) -> &mut Vec<AtomicU32> {
         &mut self.next
     }
+}
+
+/// Faces that are looked at by one task, and by one instruction.
+const CHECKED: usize = 1 << 10;
+const LANES: usize = 8;
+
+/// A face whose normal turns by less than this has not folded over, however singles were rounded.
+const SURE_COSINE: f32 = LEAST_COSINE as f32 + 1e-3;
+
+/// Cross products of vectors side by side: the same numbers as of each alone.
+#[inline(always)]
+fn cross<V: Simd>(simd: V, u: &[[f32; LANES]; 3], v: &[[f32; LANES]; 3]) -> [f32x8<V>; 3] {
+    let along = |of: &[f32; LANES]| f32x8::load_array_ref(simd, of);
+    let ([ux, uy, uz], [vx, vy, vz]) =
+        ([along(&u[0]), along(&u[1]), along(&u[2])], [along(&v[0]), along(&v[1]), along(&v[2])]);
+    [uy * vz - vy * uz, uz * vx - vz * ux, ux * vy - vx * uy]
+}
+
+#[inline(always)]
+fn dot<V: Simd>(u: &[f32x8<V>; 3], v: &[f32x8<V>; 3]) -> f32x8<V> {
+    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 }
 
 /// The edges at a vertex that may be chosen.
@@ -247,6 +329,47 @@ pub(super) fn hash(a: u32, b: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::collapse::surface::tests::bumps;
+    use crate::vectors::levels;
+
+    #[test]
+    fn what_folds_together_is_what_folds_alone() {
+        let surface = bumps::<f32>();
+        let n = surface.positions.len() as u32;
+        let mut all = 0;
+        for seed in 0..400u32 {
+            // Some vertices go with a neighbour in number, to places near and far.
+            let mut batch = Batch::new();
+            batch.begin(n as usize, NONE);
+            for v in 0..n - 1 {
+                if hash(seed, v).is_multiple_of(3) && !batch.moves(v) && !batch.moves(v + 1) {
+                    [v, v + 1].into_iter().for_each(|u| batch.leaders[u as usize].store(v, Relaxed));
+                }
+            }
+            for (v, spot) in batch.spots.iter_mut().enumerate() {
+                let away = [1e-3, 0.1, 0.5, 1e-25][seed as usize % 4];
+                let part = |axis| (hash(seed + axis, !(v as u32)) as f32 / u32::MAX as f32 - 0.5) * away;
+                let at = surface.positions[v];
+                *spot =
+                    if seed % 4 == 3 { [part(0), part(1), part(2)] } else { [0, 1, 2].map(|i| at[i] + part(i as u32)) };
+            }
+            for least_moving in [1, 2] {
+                let alone = |face| batch.folded(&surface, face, least_moving);
+                let alone: Vec<_> = surface.faces.iter().filter_map(alone).collect();
+                for level in levels() {
+                    let mut together = Vec::new();
+                    dispatch!(level, simd =>
+                        batch.all_folded(simd, &surface, &surface.faces, least_moving, &mut together));
+                    together.sort_unstable();
+                    let mut alone = alone.clone();
+                    alone.sort_unstable();
+                    assert_eq!(together, alone);
+                }
+                all += alone.len();
+            }
+        }
+        assert!(all > 1000, "{all}");
+    }
 
     struct List<'a>(&'a [(f32, u32)]);
 

@@ -86,7 +86,7 @@ pub(super) struct Candidate {
 
 /// The least cosine between a face's normals before and after: a face may tilt, never fold over (thesis §3.7 asks the
 /// same of each face by edge planes). 0.2 refuses less than 1 collapse in 100 on a noisy scan of 1.2 M faces.
-const LEAST_COSINE: f64 = 0.2;
+pub(super) const LEAST_COSINE: f64 = 0.2;
 
 impl<S: Coordinate> Surface<S> {
     /// Of a mesh, without stars, marks and pieces yet.

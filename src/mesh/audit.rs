@@ -2,6 +2,7 @@
 
 use super::adjacency::{Stars, after, before, parts};
 use crate::cores::InPieces;
+use fearless_simd::{Simd, prelude::*, u32x8};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -161,6 +162,29 @@ pub fn is_regular(ends: &[(u32, u32)]) -> bool {
     fan == ends.len()
 }
 
+/// Faces of a star that one instruction looks at.
+pub const LANES: usize = 8;
+
+/// What [`is_regular`] says, of `n` faces at most [`LANES`], each from one neighbour to the next: which of them follows each
+/// is found for all at once.
+#[inline(always)]
+pub fn is_regular_together<V: Simd>(simd: V, from: &[u32; LANES], to: &[u32; LANES], n: usize) -> bool {
+    let all = u32x8::load_array_ref(simd, from);
+    let there = (1 << n) - 1;
+    let (mut next, mut regular) = ([0; LANES], true);
+    for (next, to) in next.iter_mut().zip(to).take(n) {
+        let found = all.simd_eq(u32x8::splat(simd, *to)).to_bitmask() & there;
+        regular &= found.is_power_of_two();
+        *next = found.trailing_zeros() as usize;
+    }
+    let mut at = 0;
+    for step in 1..=n {
+        at = next[at % LANES];
+        regular &= (at == 0) == (step == n);
+    }
+    regular
+}
+
 /// Calls `each` with the other end of every edge at a vertex, and with the faces that it has there: whether each runs away
 /// from the vertex along it.
 fn for_each_edge(ends: &[(u32, u32)], mut each: impl FnMut(u32, &[(u32, bool)])) {
@@ -208,6 +232,41 @@ fn fan_length(ends: &[(u32, u32)]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::vectors::levels;
+    use fearless_simd::dispatch;
+
+    #[test]
+    fn stars_are_as_regular_together_as_one_by_one() {
+        let mut regular = 0;
+        for seed in 0..20_000u32 {
+            // A fan in some order; in half of them a few ends are others.
+            let n = (seed % 9) as usize;
+            let mut ends: Vec<(u32, u32)> = (0..n as u32).map(|i| (i, (i + 1) % n as u32)).collect();
+            let mut lot = seed.wrapping_mul(0x9e37_79b9) | 1;
+            let mut draw = |most: usize| {
+                lot = lot.wrapping_mul(0x2c1b_3c6d) ^ lot >> 15;
+                (lot >> 8) as usize % most
+            };
+            for i in 0..n {
+                ends.swap(i, draw(n));
+            }
+            for _ in 0..draw(3) * usize::from(n > 0 && seed % 2 == 0) {
+                let (i, j) = (draw(n), draw(n));
+                match draw(2) {
+                    0 => ends[i].1 = ends[j].1,
+                    _ => (ends[i].1, ends[j].1) = (ends[j].1, ends[i].1),
+                }
+            }
+            let (mut from, mut to) = ([7; LANES], [7; LANES]);
+            ends.iter().enumerate().for_each(|(i, end)| (from[i], to[i]) = *end);
+            for level in levels() {
+                let together = dispatch!(level, simd => is_regular_together(simd, &from, &to, n));
+                assert_eq!(together, is_regular(&ends), "{ends:?}");
+            }
+            regular += usize::from(is_regular(&ends));
+        }
+        assert!((5000..19_000).contains(&regular), "{regular}");
+    }
 
     const TETRAHEDRON: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
 
