@@ -168,6 +168,7 @@ impl<S: Coordinate> Batch<S> {
     }
 
     /// Where the merged vertex of a group belongs for what its members have learnt.
+    #[inline(always)]
     pub fn place(&self, surface: &Surface<S>, members: &[u32]) -> [S; 3] {
         let at = surface.at(members[0]);
         let steps = members.iter().map(|&u| surface.at(u) - at);

@@ -202,11 +202,21 @@ fn follow<S: Coordinate>(batch: &mut Batch<S>, costs: &[f32], limit: f32, longes
 fn settle<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) {
     let mut spots = std::mem::take(&mut batch.spots);
     let this = &*batch;
-    spots.par_iter_mut().enumerate().in_pieces(256).for_each_init(Vec::new, |members, (v, spot)| {
-        if this.leader(v as u32) == v as u32 {
-            this.members(v as u32, members);
-            *spot = this.place(surface, members);
-        }
+    spots.par_chunks_mut(LOOKING).enumerate().in_pieces(1).for_each(|(chunk, spots)| {
+        let first = (chunk * LOOKING) as u32;
+        dispatch!(Level::new(), simd => settle_some(simd, this, surface, first, spots));
     });
     batch.spots = spots;
+}
+
+/// The same of those groups whose leaders are numbered from `first` on.
+#[inline(always)]
+fn settle_some<S: Coordinate, V: Simd>(_: V, batch: &Batch<S>, surface: &Surface<S>, first: u32, spots: &mut [[S; 3]]) {
+    let mut members = Vec::new();
+    for (v, spot) in (first..).zip(spots) {
+        if batch.leader(v) == v {
+            batch.members(v, &mut members);
+            *spot = batch.place(surface, &members);
+        }
+    }
 }

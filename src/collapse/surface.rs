@@ -7,12 +7,16 @@ use crate::cores::InPieces;
 use crate::mesh::adjacency::{Stars, after, before, parts};
 use crate::mesh::{Coordinate, IndexedMesh, Reference, Shades, Wedges, narrow, widen};
 use crate::quadric::{PackedQuadric, Quadric};
+use fearless_simd::{Level, Simd, dispatch};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
 
 /// A cost that says that the edge's collapse was tried on this geometry and refused. Any finite cost is below it.
 pub(super) const REFUSED: f32 = f32::MAX;
+
+/// Vertices that are seen to by one task.
+const TOGETHER: usize = 256;
 
 /// Where no more than one face in so many is left, those that have gone have made room for the roots of all.
 const ROOTS_FROM: usize = 2;
@@ -244,6 +248,7 @@ impl<S: Coordinate> Surface<S> {
 
     /// The area-weighted planes of the faces around `v`, and the lines of the borders there. All pass through `v`, so that
     /// only `A` is not zero.
+    #[inline(always)]
     pub fn form_around(&self, around: &impl Around, v: u32, options: &Options) -> Quadric {
         let at = self.at(v);
         let star = around.of(v);
@@ -303,14 +308,31 @@ impl<S: Coordinate> Surface<S> {
         let mut roots = Vec::new();
         self.find_roots::<f32>(&mut roots);
         let this = &*self;
-        let learnt = (0..this.positions.len() as u32).into_par_iter().in_pieces(256).map(|v| {
-            let mut q = if this.odd(v) { this.borders_at(&this.stars, v, options) } else { Quadric::default() };
-            for &corner in this.stars.of(v) {
+        let mut learnt: Vec<PackedQuadric> = bytemuck::zeroed_vec(this.positions.len());
+        learnt.par_chunks_mut(TOGETHER).enumerate().in_pieces(1).for_each(|(chunk, learnt)| {
+            let first = (chunk * TOGETHER) as u32;
+            dispatch!(Level::new(), simd => this.learn_some(simd, &roots, first, learnt, options));
+        });
+        self.learnt = learnt;
+    }
+
+    /// What vertices from `first` on learn of faces with these roots.
+    #[inline(always)]
+    fn learn_some<V: Simd>(
+        &self,
+        _: V,
+        roots: &[[f32; 3]],
+        first: u32,
+        learnt: &mut [PackedQuadric],
+        options: &Options,
+    ) {
+        for (v, learnt) in (first..).zip(learnt) {
+            let mut q = if self.odd(v) { self.borders_at(&self.stars, v, options) } else { Quadric::default() };
+            for &corner in self.stars.of(v) {
                 q += squared(roots[parts(corner).0].map(f64::from));
             }
-            q.pack()
-        });
-        self.learnt = learnt.collect();
+            *learnt = q.pack();
+        }
     }
 
     /// What an edge's collapse costs, [`REFUSED`] at most.
@@ -425,13 +447,21 @@ impl<S: Coordinate> Surface<S> {
         let all = current.is_empty();
         current.resize(self.positions.len(), [S::narrow(0.0); 6]);
         let this = &*self;
-        current.par_iter_mut().enumerate().in_pieces(256).for_each(|(v, form)| {
-            let v = v as u32;
-            if all || this.mark(v) & TOUCHED != 0 {
-                *form = this.form_around(&this.stars, v, options).a.map(S::narrow);
-            }
+        current.par_chunks_mut(TOGETHER).enumerate().in_pieces(1).for_each(|(chunk, forms)| {
+            let first = (chunk * TOGETHER) as u32;
+            dispatch!(Level::new(), simd => this.renew_some(simd, first, forms, all, options));
         });
         self.current = current;
+    }
+
+    /// The same of vertices from `first` on: of all, or of those that were touched.
+    #[inline(always)]
+    fn renew_some<V: Simd>(&self, _: V, first: u32, forms: &mut [[S; 6]], all: bool, options: &Options) {
+        for (v, form) in (first..).zip(forms) {
+            if all || self.mark(v) & TOUCHED != 0 {
+                *form = self.form_around(&self.stars, v, options).a.map(S::narrow);
+            }
+        }
     }
 
     /// Where a merged vertex goes, as it will be stored: at an end exactly where that is the policy.
