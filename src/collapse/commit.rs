@@ -110,8 +110,9 @@ fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
         }
     };
     surface.faces.par_iter_mut().in_pieces(4096).for_each(|face| {
-        let changed = face.iter().any(|&v| batch.moves(v));
-        let now = if changed { face.map(|v| batch.becomes(v)) } else { *face };
+        let now = face.map(|v| batch.becomes(v));
+        // Leaders move, too.
+        let changed = batch.moves(face[0]) | batch.moves(face[1]) | batch.moves(face[2]);
         if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
             let bits = if changed { USED | TOUCHED } else { USED };
             now.iter().for_each(|&v| mark(v, bits));
@@ -167,15 +168,15 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
     keep(faces, |_, face| face[0] != NONE);
 }
 
-/// Keeps the items that stay, in their order: threads move those of each part to its beginning, then parts move up.
+/// Keeps the items that stay, in their order: threads move those of each part to its beginning, then parts move up. Which
+/// stay no processor can predict, so all are moved, and those that go are written over.
 fn keep<T: Copy + Send>(items: &mut Vec<T>, stays: impl Fn(usize, &T) -> bool + Sync) {
     let gather = |(part, items): (usize, &mut [T])| {
         let mut kept = 0;
         for i in 0..items.len() {
-            if stays(part * PART + i, &items[i]) {
-                items[kept] = items[i];
-                kept += 1;
-            }
+            let stay = stays(part * PART + i, &items[i]);
+            items[kept] = items[i];
+            kept += usize::from(stay);
         }
         kept
     };
