@@ -220,3 +220,28 @@ fn settle_some<S: Coordinate, V: Simd>(_: V, batch: &Batch<S>, surface: &Surface
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::collapse::surface::tests::bumps;
+
+    #[test]
+    fn those_left_over_pair_up_among_themselves() {
+        let surface = bumps::<f32>();
+        let vertices = 0..surface.positions.len() as u32;
+        let mut batch = Batch::new();
+        batch.begin(vertices.len(), NONE);
+        let costs = prefer(&mut batch, &surface, false);
+        let next = |v: u32| batch.next[v as usize].load(Relaxed);
+        let at_once = vertices.clone().filter(|&v| next(next(v)) == v).count();
+        pair(&batch, &surface, &costs, f32::MAX, false);
+        let moving: Vec<u32> = vertices.filter(|&v| batch.moves(v)).collect();
+        for &v in &moving {
+            let u = batch.next_of(v);
+            assert_eq!((batch.next_of(u), batch.leader(v), batch.leader(u)), (v, v.min(u), v.min(u)));
+            assert!(surface.shared(&surface.stars, v, u).count() > 0, "{v} {u} have no edge");
+        }
+        assert!(at_once > 0 && moving.len() > at_once, "{at_once} {}", moving.len());
+    }
+}
