@@ -6,7 +6,9 @@
 //! Stars of neighbouring groups overlap. All faces with moving corners are checked with all of them moved; of the groups at
 //! a face that folds over, one is taken back (by a hash: any rule that threads cannot change will do), until none folds.
 
+use super::evaluate::{Vector, dot};
 use super::place::optimal;
+use super::rank::LANES;
 use super::surface::{LEAST_COSINE, Surface, turned};
 use crate::cores::InPieces;
 use crate::mesh::marked::Marked;
@@ -259,25 +261,19 @@ impl<S: Coordinate> Batch<S> {
     }
 }
 
-/// Faces that are looked at by one task, and by one instruction.
+/// Faces that are looked at by one task.
 const CHECKED: usize = 1 << 10;
-const LANES: usize = 8;
 
 /// A face whose normal turns by less than this has not folded over, however singles were rounded.
 const SURE_COSINE: f32 = LEAST_COSINE as f32 + 1e-3;
 
 /// Cross products of vectors side by side: the same numbers as of each alone.
 #[inline(always)]
-fn cross<V: Simd>(simd: V, u: &[[f32; LANES]; 3], v: &[[f32; LANES]; 3]) -> [f32x8<V>; 3] {
+fn cross<V: Simd>(simd: V, u: &[[f32; LANES]; 3], v: &[[f32; LANES]; 3]) -> Vector<V> {
     let along = |of: &[f32; LANES]| f32x8::load_array_ref(simd, of);
     let ([ux, uy, uz], [vx, vy, vz]) =
         ([along(&u[0]), along(&u[1]), along(&u[2])], [along(&v[0]), along(&v[1]), along(&v[2])]);
     [uy * vz - vy * uz, uz * vx - vz * ux, ux * vy - vx * uy]
-}
-
-#[inline(always)]
-fn dot<V: Simd>(u: &[f32x8<V>; 3], v: &[f32x8<V>; 3]) -> f32x8<V> {
-    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 }
 
 /// The edges at a vertex that may be chosen.

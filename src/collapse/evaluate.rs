@@ -180,7 +180,7 @@ fn narrow<S: Coordinate>(x: S) -> f32 {
     x.widen() as f32
 }
 
-type Vector<V> = [f32x8<V>; 3];
+pub(super) type Vector<V> = [f32x8<V>; 3];
 
 /// Vectors side by side.
 #[inline(always)]
@@ -215,7 +215,7 @@ fn chosen<V: Simd>(is: mask32x8<V>, x: Vector<V>, y: Vector<V>) -> Vector<V> {
 }
 
 #[inline(always)]
-fn dot<V: Simd>(x: &Vector<V>, y: &Vector<V>) -> f32x8<V> {
+pub(super) fn dot<V: Simd>(x: &Vector<V>, y: &Vector<V>) -> f32x8<V> {
     x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 }
 
