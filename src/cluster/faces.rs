@@ -39,8 +39,10 @@ struct Batch {
     edges: [[[u16; BATCH]; 3]; 2],
     /// The corners' places in their cells, as fields, each plus [`ONE_CORNER`].
     places: [[u64; BATCH]; 3],
-    /// What chance draws of a face, yet to be scrambled.
+    /// What chance draws of a face, yet to be scrambled; then how many samples it asks for.
     lots: [u32; BATCH],
+    /// Faces that ask for samples.
+    asking: [u16; BATCH],
     /// Faces with an edge too long for 16 bits, and how many these are.
     long: [u16; BATCH],
     longs: usize,
@@ -86,6 +88,7 @@ impl<'a> FaceWorker<'a> {
             edges: [[[0; BATCH]; 3]; 2],
             places: [[0; BATCH]; 3],
             lots: [0; BATCH],
+            asking: [0; BATCH],
             long: [0; BATCH],
             longs: 0,
             crosses: [[0.0; BATCH]; 3],
@@ -258,21 +261,22 @@ impl Batch {
         for lot in &mut self.lots[..end] {
             *lot = scramble(*lot) >> 8;
         }
+        let mut asking = 0;
         for first in (0..end).step_by(WIDTH) {
             let some = first..first + WIDTH;
             let lots = u32x16::from_slice(simd, &self.lots[some.clone()]).bitcast::<i32x16<V>>();
             let chance = lots.to_float::<f32x16<V>>() * of(1.0 / (1 << 24) as f32);
-            let wanted = f32x16::from_slice(simd, &self.weights[some]) * rate + chance;
+            let wanted = f32x16::from_slice(simd, &self.weights[some.clone()]) * rate + chance;
             let counts = wanted.min(of(MOST_ROUNDED)).to_int::<i32x16<V>>();
-            let mut asking = counts.simd_gt(i32x16::splat(simd, 0)).to_bitmask() & there(first, end);
-            let counts = counts.to_array();
-            while asking != 0 {
-                let i = asking.trailing_zeros() as usize;
-                asking &= asking - 1;
-                let face = faces.map(|corners| corners[first + i]);
-                samples.add(face, counts[i].cast_unsigned(), self.planes[first + i].normal());
+            counts.bitcast::<u32x16<V>>().store_slice(&mut self.lots[some]);
+            let mut those = counts.simd_gt(i32x16::splat(simd, 0)).to_bitmask() & there(first, end);
+            while those != 0 {
+                self.asking[asking % BATCH] = (first + those.trailing_zeros() as usize) as u16;
+                asking += 1;
+                those &= those - 1;
             }
         }
+        samples.take(simd, faces, &self.asking[..asking], (&self.lots, &self.planes));
     }
 
     /// Cross products to unit normals and weights. A face without area says nothing of a plane, but where it is still

@@ -239,8 +239,14 @@ pub(super) fn absolute(corner: Corner, key: u64) -> [i64; 3] {
 /// The same of one that is not far.
 #[inline(always)]
 pub(super) fn absolute_near(corner: Corner, key: u64) -> [i64; 3] {
-    let (cell, local) = (coordinates(key), corner.local());
-    std::array::from_fn(|axis| (cell[axis] << LOCAL_BITS) + i64::from(local[axis]))
+    [0, 1, 2].map(|axis| along(corner, key, axis) as i64)
+}
+
+/// The same along one axis.
+#[inline(always)]
+pub(super) fn along(corner: Corner, key: u64, axis: u32) -> u64 {
+    let cell = key >> (axis * COORDINATE_BITS) & ((1 << COORDINATE_BITS) - 1);
+    (cell << LOCAL_BITS) + (corner.0 >> ((2 - axis) * LOCAL_BITS) & ((1 << LOCAL_BITS) - 1))
 }
 
 /// A binned corner: 25 bits of cell number and three times 13 bits of place in the cell.

@@ -8,11 +8,14 @@
 //! the order of faces decide. One alone is the face's middle (E_avg is the same, in half the time); more are scattered.
 //! Were there more than was estimated, all go whose level is too low.
 
-use super::grid::{Corner, Grid, LOCAL_BITS, STEPS, absolute_near, is_far};
+use super::corners::Faces;
+use super::grid::{Corner, Grid, LOCAL_BITS, STEPS, absolute_near, along, is_far};
+use super::sums::Plane;
 use super::table::{CellTable, mix};
 use crate::error::{Error, Result};
 use crate::mesh::samples::{LEVELS, Lattice, SAMPLE_BYTES, SampleFile, SurfaceSample, fold, level_for};
 use crate::scratch::{Scratch, ScratchFile};
+use fearless_simd::Simd;
 use glam::{DVec3, Vec3};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
@@ -146,28 +149,44 @@ impl<'a> SampleWorker<'a> {
         self.sampler.rate as f32
     }
 
-    /// Takes so many samples of a face.
-    #[inline(never)]
-    pub(super) fn add(&mut self, face: [Corner; 3], count: u32, normal: Vec3) {
-        let Sampler { table, origin, scale, .. } = self.sampler;
-        let keys = face.map(|corner| table.key(corner.cell()));
-        if is_far(keys[0] | keys[1] | keys[2]) || normal == Vec3::ZERO {
-            return;
+    /// Takes so many samples of each of those of `faces` that are `asking`.
+    #[inline(always)]
+    pub(super) fn take<V: Simd, const N: usize>(
+        &mut self,
+        simd: V,
+        faces: Faces,
+        asking: &[u16],
+        (counts, planes): (&[u32; N], &[Plane; N]),
+    ) {
+        let table = self.sampler.table;
+        for some in asking.chunks(TOGETHER) {
+            let mut middles = Middles::none();
+            for &i in some {
+                let i = usize::from(i) % N;
+                let face = faces.map(|corners| corners[i]);
+                let keys = face.map(|corner| table.key(corner.cell()));
+                let normal = planes[i].normal();
+                if is_far(keys[0] | keys[1] | keys[2]) || normal == Vec3::ZERO {
+                    continue;
+                }
+                match counts[i] {
+                    1 => middles.put(face, keys, normal),
+                    count => self.scatter(face, keys, count, normal),
+                }
+            }
+            let (places, normals) = middles.placed(simd, self.sampler);
+            for i in 0..middles.count.min(TOGETHER) {
+                self.hold(places[i], normals[i], middles.near[i]);
+            }
         }
-        let at: [[i64; 3]; 3] = std::array::from_fn(|i| absolute_near(face[i], keys[i]));
-        let normal = fold(normal);
-        let first = (1..3).fold(0, |first, i| if keys[i] < keys[first] { i } else { first });
-        let near = face[first].cell();
-        if count > 1 {
-            return self.scatter(face, at, count, normal, near);
-        }
-        // The middle stands for the face no worse than any other point of it.
-        let sum: [f64; 3] = std::array::from_fn(|axis| (at[0][axis] + at[1][axis] + at[2][axis]) as f64);
-        self.hold(*origin + DVec3::from(sum) * (*scale / 3.0), normal, near);
     }
 
     /// Takes samples anywhere on a face.
-    fn scatter(&mut self, face: [Corner; 3], at: [[i64; 3]; 3], count: u32, normal: [i16; 2], near: u32) {
+    #[inline(never)]
+    fn scatter(&mut self, face: [Corner; 3], keys: [u64; 3], count: u32, normal: Vec3) {
+        let Sampler { lattice, origin, scale, .. } = self.sampler;
+        let (normal, near) = (fold(normal), near(face, keys));
+        let at: [[i64; 3]; 3] = std::array::from_fn(|i| absolute_near(face[i], keys[i]));
         // A face may come with any of its corners first.
         let least = (0..3).min_by_key(|i| at[*i]).unwrap_or(0);
         let [first, second, third] = [0, 1, 2].map(|i| DVec3::from(at[(least + i) % 3].map(|x| x as f64)));
@@ -178,14 +197,16 @@ impl<'a> SampleWorker<'a> {
             let part = |bits: u64| (bits as u32 & 0xff_ffff) as f32 * (1.0 / (1 << 24) as f32);
             let (s, t) = (f64::from(part(hash >> 8)), f64::from(part(hash >> 36)));
             let (s, t) = if s + t > 1.0 { (1.0 - s, 1.0 - t) } else { (s, t) };
-            self.hold(self.sampler.origin + (first + s * u + t * v) * self.sampler.scale, normal, near);
+            let steps = *origin + (first + s * u + t * v) * *scale;
+            let [place] = lattice.places(&steps.to_array().map(|x| [x]));
+            self.hold(place, normal, near);
         }
     }
 
-    /// Takes the sample at a place in the lattice's steps.
+    /// Takes the sample at a place on the lattice.
     #[inline(always)]
-    fn hold(&mut self, steps: DVec3, normal: [i16; 2], near: u32) {
-        let Some(sample) = SurfaceSample::placed(&self.sampler.lattice, steps, normal, near) else { return };
+    fn hold(&mut self, place: u64, normal: [i16; 2], near: u32) {
+        let Some(sample) = SurfaceSample::placed(place, normal, near) else { return };
         let level = sample.level();
         self.counts[level as usize] += 1;
         if level >= self.sampler.level.load(Relaxed) {
@@ -200,4 +221,60 @@ impl<'a> SampleWorker<'a> {
         self.sampler.write(&self.held, &mut self.counts);
         self.held.clear();
     }
+}
+
+/// Faces whose middles are worked out together.
+const TOGETHER: usize = 16;
+
+/// The middles of some faces, as samples: each stands for its face no worse than any other point of it.
+struct Middles {
+    corners: [[u64; TOGETHER]; 3],
+    keys: [[u64; TOGETHER]; 3],
+    normals: [[f32; TOGETHER]; 3],
+    near: [u32; TOGETHER],
+    count: usize,
+}
+
+impl Middles {
+    fn none() -> Self {
+        let (corners, keys) = ([[0; TOGETHER]; 3], [[0; TOGETHER]; 3]);
+        Middles { corners, keys, normals: [[0.0; TOGETHER]; 3], near: [0; TOGETHER], count: 0 }
+    }
+
+    #[inline(always)]
+    fn put(&mut self, face: [Corner; 3], keys: [u64; 3], normal: Vec3) {
+        let i = self.count % TOGETHER;
+        for corner in 0..3 {
+            (self.corners[corner][i], self.keys[corner][i]) = (face[corner].0, keys[corner]);
+            self.normals[corner][i] = normal[corner];
+        }
+        self.near[i] = near(face, keys);
+        self.count += 1;
+    }
+
+    /// Their places on the lattice and folded normals.
+    #[inline(always)]
+    fn placed<V: Simd>(&self, _: V, sampler: &Sampler) -> ([u64; TOGETHER], [[i16; 2]; TOGETHER]) {
+        let mut steps = [[0.0; TOGETHER]; 3];
+        for (axis, steps) in steps.iter_mut().enumerate() {
+            let (origin, third) = (sampler.origin[axis], sampler.scale / 3.0);
+            for (i, steps) in steps.iter_mut().enumerate() {
+                let at = |corner: usize| along(Corner(self.corners[corner][i]), self.keys[corner][i], axis as u32);
+                *steps = origin + (at(0) + at(1) + at(2)) as f64 * third;
+            }
+        }
+        let mut normals = [[0; 2]; TOGETHER];
+        let [x, y, z] = &self.normals;
+        for i in 0..TOGETHER {
+            normals[i] = fold(Vec3::new(x[i], y[i], z[i]));
+        }
+        (sampler.lattice.places(&steps), normals)
+    }
+}
+
+/// The cell that a sample of a face counts as near to, whichever of its corners comes first.
+#[inline(always)]
+fn near(face: [Corner; 3], keys: [u64; 3]) -> u32 {
+    let first = (1..3).fold(0, |first, i| if keys[i] < keys[first] { i } else { first });
+    face[first].cell()
 }

@@ -126,29 +126,24 @@ fn coincide(one: [u32; 3], other: [u32; 3]) -> bool {
     key(one) >> 1 == key(other) >> 1
 }
 
+/// Parts that triples are sorted in, at most: each of them stays near, and so do the ends of all while they are filled.
+const PARTS: usize = 1 << 12;
+
 /// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
 /// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
 pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
     triples.par_iter_mut().in_pieces(4096).for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
     crew.progress.check()?;
-    triples.par_sort_unstable_by_key(|triple| key(*triple));
+    let parts = parted(triples, ranks.len());
     crew.progress.check()?;
-    // A part a worker, none of which ends between triples that coincide.
-    let share = triples.len().div_ceil(crew.workers.max(1)).max(1);
-    let mut parts = Vec::with_capacity(crew.workers);
-    let mut rest = triples.as_mut_slice();
-    while let Some(last) = rest.get(share.min(rest.len()).wrapping_sub(1)).copied() {
-        let end = rest.partition_point(|triple| key(*triple) >> 1 <= key(last) >> 1);
-        let (part, later) = rest.split_at_mut(end);
-        parts.push(part);
-        rest = later;
-    }
-    let netted: Vec<(usize, usize, u64)> = (parts.into_par_iter().with_max_len(1))
+    let netted: Vec<(usize, usize, u64)> = (parts.into_par_iter().in_pieces(16))
         .map(|part| {
+            part.sort_unstable_by_key(|triple| key(*triple));
             let (kept, pairs) = net_sorted(part);
             (part.len(), kept, pairs)
         })
         .collect();
+    crew.progress.check()?;
     let (mut begin, mut kept, mut pairs) = (0, 0, 0);
     for (length, kept_here, pairs_here) in netted {
         triples.copy_within(begin..begin + kept_here, kept);
@@ -156,6 +151,43 @@ pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Re
     }
     triples.truncate(kept);
     Ok(pairs)
+}
+
+/// Puts triples in order of the upper bits of their least ones of so many cells, in place: the parts that this makes.
+fn parted(triples: &mut [[u32; 3]], cells: usize) -> Vec<&mut [[u32; 3]]> {
+    let shift = (cells / PARTS).checked_ilog2().map_or(0, |bits| bits + 1);
+    let part_of = |triple: &[u32; 3]| (triple[0] >> shift) as usize;
+    let mut counts = vec![0usize; PARTS];
+    triples.iter().for_each(|triple| counts[part_of(triple)] += 1);
+    let mut next: Vec<usize> = Vec::with_capacity(counts.len());
+    let mut end = 0;
+    for count in &counts {
+        next.push(end);
+        end += count;
+    }
+    // Each triple goes where its part goes on, and the one that was there is next, until one belongs where the first was.
+    end = 0;
+    for (part, count) in counts.iter().enumerate() {
+        end += count;
+        while next[part] < end {
+            let mut triple = triples[next[part]];
+            loop {
+                let home = part_of(&triple);
+                std::mem::swap(&mut triples[next[home]], &mut triple);
+                next[home] += 1;
+                if home == part {
+                    break;
+                }
+            }
+        }
+    }
+    let mut rest = triples;
+    let part = |count: usize| {
+        let (part, later) = std::mem::take(&mut rest).split_at_mut(count);
+        rest = later;
+        part
+    };
+    counts.into_iter().map(part).collect()
 }
 
 /// The same of sorted triples: how many are kept, in front, and the pairs taken.

@@ -109,15 +109,14 @@ impl<S: Coordinate> Batch<S> {
     /// Takes vertices out of their groups until no face folds over that has as many moving corners as `least_moving` or more.
     pub fn take_back_folds(&mut self, surface: &Surface<S>, least_moving: usize) {
         let faces = surface.faces.len();
-        let folded = |this: &Self, f: u32| this.folded(surface, &surface.faces[f as usize], least_moving);
+        let folded = |this: &Self, faces: &[[u32; 3]]| {
+            let mut back = Vec::new();
+            dispatch!(Level::new(), simd => this.all_folded(simd, surface, faces, least_moving, &mut back));
+            back
+        };
         let mut back: Vec<u32> = {
             let this = &*self;
-            let folded = |faces: &[[u32; 3]]| {
-                let mut back = Vec::new();
-                dispatch!(Level::new(), simd => this.all_folded(simd, surface, faces, least_moving, &mut back));
-                back
-            };
-            surface.faces.par_chunks(CHECKED).in_pieces(1).flat_map_iter(folded).collect()
+            surface.faces.par_chunks(CHECKED).in_pieces(1).flat_map_iter(|faces| folded(this, faces)).collect()
         };
         if back.is_empty() {
             return;
@@ -143,7 +142,11 @@ impl<S: Coordinate> Batch<S> {
                 self.spots[leader as usize] = spot;
             }
             let this = &*self;
-            back = around.all().filter_map(|f| folded(this, f)).collect();
+            let folded_among = |faces: Vec<u32>| {
+                let faces: Vec<_> = faces.into_iter().map(|f| surface.faces[f as usize]).collect();
+                folded(this, &faces)
+            };
+            back = around.some_at_a_time().flat_map_iter(folded_among).collect();
             [&mut leaving, &mut changed, &mut around].into_iter().for_each(Marked::clear);
         }
     }

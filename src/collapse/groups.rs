@@ -10,21 +10,21 @@ use super::batch::{Batch, Edges, NONE, cheapest};
 use super::pairs::TURNS;
 use super::rank::LANES;
 use super::surface::Surface;
-use super::{Options, Stride};
+use super::{GROUPS_SHARE, Options};
 use crate::cores::InPieces;
 use crate::mesh::Coordinate;
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// Chooses groups as large as `stride` allows.
-pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, stride: Stride, options: &Options) {
+/// Chooses groups: of those at most `longest` steps from a pair that they follow, or pairs where that is 0.
+pub(super) fn select<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>, longest: usize, options: &Options) {
     batch.begin(surface.positions.len(), NONE);
     let costs = prefer(batch, surface, options.locks());
     let free = costs.par_iter().in_pieces(4096).filter(|cost| cost.is_finite()).count();
-    let limit = super::limit(&costs, (stride.share * free as f64) as u64);
+    let limit = super::limit(&costs, (GROUPS_SHARE * free as f64) as u64);
     let limit = options.part.map_or(limit, |part| limit.min(part.most_cost));
-    match stride.longest {
+    match longest {
         0 => pair(batch, surface, &costs, limit, options.locks()),
         longest => follow(batch, &costs, limit, longest),
     }

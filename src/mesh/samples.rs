@@ -37,13 +37,15 @@ pub const SAMPLE_BYTES: usize = size_of::<SurfaceSample>();
 impl SurfaceSample {
     /// On a face with unit normal `normal`; `None` where `position` is outside the lattice.
     pub fn new(lattice: &Lattice, position: DVec3, normal: Vec3, near: u32) -> Option<Self> {
-        Self::placed(lattice, lattice.steps_to(position), fold(normal), near)
+        let [place] = lattice.places(&lattice.steps_to(position).to_array().map(|x| [x]));
+        Self::placed(place, fold(normal), near)
     }
 
-    /// The same from a place in the lattice's steps, and a normal that was folded.
-    #[inline]
-    pub fn placed(lattice: &Lattice, steps: DVec3, normal: [i16; 2], near: u32) -> Option<Self> {
-        Some(SurfaceSample { near, at: lattice.place(steps)?, normal })
+    /// The same at one of [`Lattice::places`], with a normal that was folded.
+    #[inline(always)]
+    pub fn placed(place: u64, normal: [i16; 2], near: u32) -> Option<Self> {
+        let at = [place as u32, (place >> 32) as u32];
+        (place != OUTSIDE).then_some(SurfaceSample { near, at, normal })
     }
 
     /// How many halvings of the samples' number it outlasts.
@@ -73,6 +75,8 @@ impl SurfaceSample {
 
 /// Bits of a place on the lattice, an axis.
 const BITS: u32 = 21;
+/// The place of what is outside the lattice.
+const OUTSIDE: u64 = u64::MAX;
 
 /// Where samples can lie: 2²¹ steps along the longest side. Where a thousand faces follow one another, that is an error
 /// of 1/5,000 of a face, and it has no bias.
@@ -101,11 +105,18 @@ impl Lattice {
         length * self.per_step
     }
 
-    #[inline]
-    fn place(&self, steps: DVec3) -> Option<[u32; 2]> {
-        let inside = steps.cmpge(DVec3::ZERO).all() && steps.cmplt(DVec3::splat(f64::from(1 << BITS))).all();
-        let place = || steps.to_array().iter().fold(0, |place, x| place << BITS | u64::from(*x as u32));
-        inside.then(|| [place() as u32, (place() >> 32) as u32])
+    /// The places of some points in the lattice's steps, by axis; [`OUTSIDE`] of those that have none. As wide as the vectors
+    /// of the function that this becomes a part of.
+    #[inline(always)]
+    pub fn places<const N: usize>(&self, [x, y, z]: &[[f64; N]; 3]) -> [u64; N] {
+        let mut places = [0; N];
+        for i in 0..N {
+            let p = [x[i], y[i], z[i]];
+            let inside = p.iter().fold(true, |inside, x| inside & (*x >= 0.0) & (*x < f64::from(1 << BITS)));
+            let place = p.iter().fold(0, |place, x| place << BITS | u64::from(*x as i32 as u32));
+            places[i] = if inside { place } else { OUTSIDE };
+        }
+        places
     }
 
     /// A sample's position in the frame.
@@ -292,7 +303,7 @@ fn sort_groups(samples: &mut [SurfaceSample], first: &[u32]) {
 }
 
 /// A direction as a point of the square that an octahedron unfolds to.
-#[inline]
+#[inline(always)]
 pub fn fold(n: Vec3) -> [i16; 2] {
     let n = n / (n.x.abs() + n.y.abs() + n.z.abs()).max(f32::MIN_POSITIVE);
     let (x, y) =
