@@ -369,9 +369,11 @@ impl Run<'_> {
         let (totals, mut triples) = (sums.into_totals(), survivors.into_triples());
         if spill.is_none() {
             ranks = table.ranks();
+            table.keep_keys();
         }
         self.stats.surviving_faces = triples.len() as u64;
-        self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, self.crew)?;
+        let left = (self.options.raw_faces - triples.len()) * BYTES_PER_RAW_FACE;
+        self.stats.opposite_pairs = survivors::net(&mut triples, &ranks, left, self.crew.progress)?;
         let excess = self.options.limit.excess(triples.len(), ranks.len());
         if excess > 1.0 {
             return Ok(self.coarsen(sizing, excess));

@@ -7,7 +7,8 @@
 
 use crate::cores::InPieces;
 use crate::error::Result;
-use crate::read::Crew;
+use crate::mesh::groups::Groups;
+use crate::progress::Progress;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering::Relaxed};
 
@@ -114,36 +115,81 @@ fn decode([a, b, c]: [u32; 3]) -> [u32; 3] {
     if c & FLIPPED == 0 { [a, b, c >> 1] } else { [a, c >> 1, b] }
 }
 
-/// What triples are sorted by: one number, since three are compared with branches that nobody can predict.
-#[inline]
-fn key([a, b, c]: [u32; 3]) -> u128 {
-    u128::from(a) << 64 | u128::from(b) << 32 | u128::from(c)
+/// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
+/// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place, and in `room` bytes beside if 8 a triple and 4
+/// a cell are there. Returns the pairs taken.
+pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], room: usize, progress: &Progress) -> Result<u64> {
+    triples.par_iter_mut().in_pieces(4096).for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
+    progress.check()?;
+    if size_of::<Led>() * triples.len() + 4 * ranks.len() <= room {
+        return net_by_cell(triples, ranks.len(), progress);
+    }
+    triples.par_sort_unstable_by_key(|&[a, b, c]| u128::from(a) << 64 | u128::from(key([b, c])));
+    progress.check()?;
+    let (mut kept, mut pairs) = (0, 0);
+    let mut next = 0;
+    while let Some(&[a, b, c]) = triples.get(next) {
+        let coincides = |other: &&[u32; 3]| other[0] == a && coincide([b, c], [other[1], other[2]]);
+        let coincident = triples[next..].iter().take_while(coincides);
+        let end = next + coincident.clone().count();
+        let flipped = coincident.filter(|triple| triple[2] & FLIPPED != 0).count();
+        let (majority, stay, opposite) = netted(end - next, flipped);
+        let majority = decode(triples[next + majority]);
+        triples[kept..kept + stay].fill(majority);
+        (next, kept, pairs) = (end, kept + stay, pairs + opposite);
+    }
+    triples.truncate(kept);
+    Ok(pairs)
 }
 
-/// Whether two triples have the same cells.
+/// Of so many coincident triples, in order, of which so many are flipped: which one stays, how often, and the pairs that go.
+#[inline(always)]
+fn netted(all: usize, flipped: usize) -> (usize, usize, u64) {
+    let plain = all - flipped;
+    (if plain > flipped { 0 } else { all - 1 }, plain.abs_diff(flipped), plain.min(flipped) as u64)
+}
+
+/// An encoded triple without its least cell.
+type Led = [u32; 2];
+
+/// What they are sorted by: one number, since two are compared with branches that nobody can predict.
 #[inline]
-fn coincide(one: [u32; 3], other: [u32; 3]) -> bool {
+fn key([b, c]: Led) -> u64 {
+    u64::from(b) << 32 | u64::from(c)
+}
+
+/// Whether two triples that one cell leads have the same cells.
+#[inline]
+fn coincide(one: Led, other: Led) -> bool {
     key(one) >> 1 == key(other) >> 1
 }
 
-/// Parts that triples are sorted in, at most: each of them stays near, and so do the ends of all while they are filled.
-const PARTS: usize = 1 << 12;
+/// Cells that are netted by one task.
+const PART: usize = 1024;
 
-/// Renumbers triples, turns each so that its least cell leads, sorts them and takes opposite pairs out: of `n₊` and
-/// `n₋` coincident triples of the two orientations `|n₊ − n₋|` stay. In place. Returns the pairs taken.
-pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Result<u64> {
-    triples.par_iter_mut().in_pieces(4096).for_each(|triple| *triple = encode(triple.map(|cell| ranks[cell as usize])));
-    crew.progress.check()?;
-    let parts = parted(triples, ranks.len());
-    crew.progress.check()?;
-    let netted: Vec<(usize, usize, u64)> = (parts.into_par_iter().in_pieces(16))
-        .map(|part| {
-            part.sort_unstable_by_key(|triple| key(*triple));
-            let (kept, pairs) = net_sorted(part);
-            (part.len(), kept, pairs)
+/// Sorts and nets encoded triples of so many cells. A cell leads two or three, so they are counted into it and sorted there.
+fn net_by_cell(triples: &mut Vec<[u32; 3]>, cells: usize, progress: &Progress) -> Result<u64> {
+    let mut led = Groups::<Led>::default();
+    led.rebuild(cells, triples.len(), |range| triples[range].iter().map(|&[a, b, c]| (a, [b, c])));
+    progress.check()?;
+    let (first, mut led) = led.into_parts();
+    let (mut rest, mut room) = (led.as_mut_slice(), triples.as_mut_slice());
+    let part = |begin: usize| {
+        let first = &first[begin..first.len().min(begin + PART + 1)];
+        let count = (first[first.len() - 1] - first[0]) as usize;
+        let (led, later) = std::mem::take(&mut rest).split_at_mut(count);
+        let (to, behind) = std::mem::take(&mut room).split_at_mut(count);
+        (rest, room) = (later, behind);
+        (begin as u32, first, led, to)
+    };
+    let parts: Vec<_> = (0..cells).step_by(PART).map(part).collect();
+    let netted: Vec<(usize, usize, u64)> = (parts.into_par_iter().in_pieces(1))
+        .map(|(begin, first, led, to)| {
+            let (kept, pairs) = net_led(begin, first, led, to);
+            (to.len(), kept, pairs)
         })
         .collect();
-    crew.progress.check()?;
+    progress.check()?;
     let (mut begin, mut kept, mut pairs) = (0, 0, 0);
     for (length, kept_here, pairs_here) in netted {
         triples.copy_within(begin..begin + kept_here, kept);
@@ -153,60 +199,22 @@ pub(super) fn net(triples: &mut Vec<[u32; 3]>, ranks: &[u32], crew: &Crew) -> Re
     Ok(pairs)
 }
 
-/// Puts triples in order of the upper bits of their least ones of so many cells, in place: the parts that this makes.
-fn parted(triples: &mut [[u32; 3]], cells: usize) -> Vec<&mut [[u32; 3]]> {
-    let shift = (cells / PARTS).checked_ilog2().map_or(0, |bits| bits + 1);
-    let part_of = |triple: &[u32; 3]| (triple[0] >> shift) as usize;
-    let mut counts = vec![0usize; PARTS];
-    triples.iter().for_each(|triple| counts[part_of(triple)] += 1);
-    let mut next: Vec<usize> = Vec::with_capacity(counts.len());
-    let mut end = 0;
-    for count in &counts {
-        next.push(end);
-        end += count;
-    }
-    // Each triple goes where its part goes on, and the one that was there is next, until one belongs where the first was.
-    end = 0;
-    for (part, count) in counts.iter().enumerate() {
-        end += count;
-        while next[part] < end {
-            let mut triple = triples[next[part]];
-            loop {
-                let home = part_of(&triple);
-                std::mem::swap(&mut triples[next[home]], &mut triple);
-                next[home] += 1;
-                if home == part {
-                    break;
-                }
-            }
-        }
-    }
-    let mut rest = triples;
-    let part = |count: usize| {
-        let (part, later) = std::mem::take(&mut rest).split_at_mut(count);
-        rest = later;
-        part
-    };
-    counts.into_iter().map(part).collect()
-}
-
-/// The same of sorted triples: how many are kept, in front, and the pairs taken.
-fn net_sorted(triples: &mut [[u32; 3]]) -> (usize, u64) {
+/// The same of those that cells from `begin` on lead, each from one of `first` to the next: how many are kept, in `to`, and
+/// the pairs taken.
+fn net_led(begin: u32, first: &[u32], led: &mut [Led], to: &mut [[u32; 3]]) -> (usize, u64) {
     let (mut kept, mut pairs) = (0, 0);
-    let mut next = 0;
-    while next < triples.len() {
-        let [a, b, c] = triples[next];
-        let group = triples[next..].iter().take_while(|t| coincide(**t, [a, b, c])).count();
-        let plain = triples[next..next + group].iter().take_while(|t| t[2] & FLIPPED == 0).count();
-        let flipped = group - plain;
-        let last = triples[next + group - 1];
-        let majority = if plain > flipped { [a, b, c] } else { last };
-        for _ in 0..plain.abs_diff(flipped) {
-            triples[kept] = decode(majority);
-            kept += 1;
+    let mut rest = led;
+    for (a, ends) in (begin..).zip(first.windows(2)) {
+        let (of_cell, later) = std::mem::take(&mut rest).split_at_mut((ends[1] - ends[0]) as usize);
+        rest = later;
+        of_cell.sort_unstable_by_key(|led| key(*led));
+        for coincident in of_cell.chunk_by(|one, other| coincide(*one, *other)) {
+            let flipped = coincident.iter().filter(|led| led[1] & FLIPPED != 0).count();
+            let (majority, stay, opposite) = netted(coincident.len(), flipped);
+            let [b, c] = coincident[majority];
+            to[kept..kept + stay].fill(decode([a, b, c]));
+            (kept, pairs) = (kept + stay, pairs + opposite);
         }
-        pairs += plain.min(flipped) as u64;
-        next += group;
     }
     (kept, pairs)
 }
@@ -214,15 +222,21 @@ fn net_sorted(triples: &mut [[u32; 3]]) -> (usize, u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::progress::Progress;
+    use crate::cores::on_threads;
     use std::collections::HashMap;
 
     fn netted(triples: &[[u32; 3]], workers: usize) -> (Vec<[u32; 3]>, u64) {
-        let ranks: Vec<u32> = (0..100).collect();
-        let mut triples = triples.to_vec();
-        let progress = Progress::default();
-        let pairs = net(&mut triples, &ranks, &Crew { workers, progress: &progress }).unwrap();
-        (triples, pairs)
+        let ranks: Vec<u32> = (0..4000).collect();
+        let net = |room: usize| {
+            let mut triples = triples.to_vec();
+            let pairs = net(&mut triples, &ranks, room, &Progress::default())?;
+            Ok((triples, pairs))
+        };
+        // In place, and with room beside.
+        let needed = 4 * ranks.len() + 8 * triples.len();
+        let [in_place, by_cell] = [0, needed].map(|room| on_threads(workers, || net(room)).unwrap());
+        assert_eq!(in_place, by_cell);
+        by_cell
     }
 
     #[test]
@@ -236,7 +250,7 @@ mod tests {
     #[test]
     fn edges_keep_their_parity_and_threads_do_not_matter() {
         let triples: Vec<[u32; 3]> = (0..40_000u32)
-            .map(|i| [i * 7 % 19, 20 + i * i % 23, 45 + i / 3 % 17])
+            .map(|i| [i * 7 % 19, 20 + i * i % 23, 45 + i / 3 % 17].map(|cell| 60 * cell))
             .enumerate()
             .map(|(i, [a, b, c])| if i % 3 == 0 { [c, b, a] } else { [b, c, a] })
             .collect();

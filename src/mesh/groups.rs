@@ -1,15 +1,15 @@
-//! Numbers in groups, by a counting sort that threads share.
+//! Items in groups, by a counting sort that threads share.
 
 use crate::cores::InPieces;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Numbers by the group that each is in: those of group `g` are `items[first[g]..first[g + 1]]`, in the order in which
-/// they came. 4 bytes an item and 4 a group.
+/// Items, numbers as a rule, by the group that each is in: those of group `g` are `items[first[g]..first[g + 1]]`, in the
+/// order in which they came. 4 bytes a group beside the items.
 #[derive(Debug, Default)]
-pub struct Groups {
+pub struct Groups<T = u32> {
     first: Vec<u32>,
-    items: Vec<u32>,
+    items: Vec<T>,
 }
 
 /// Into how many ranges of groups work is cut where each range goes through all items: more would cost more than it
@@ -32,13 +32,13 @@ struct Block {
     most: u32,
 }
 
-impl Groups {
+impl<T: bytemuck::Pod + Send + Sync> Groups<T> {
     /// Sorts the items of pairs into `groups` groups, reusing the memory; a pair is a group and an item, and one whose group
     /// is not among them is left out. There are `sources` of pairs, whose order pairs follow, such as faces with three each.
     ///
     /// Groups are cut into ranges, and each goes through the pairs for what is its own, so that nothing depends on how many
     /// there are: in a sensible order of sources, through few of others'.
-    pub fn rebuild<I: Iterator<Item = (u32, u32)>>(
+    pub fn rebuild<I: Iterator<Item = (u32, T)>>(
         &mut self,
         groups: usize,
         sources: usize,
@@ -64,7 +64,7 @@ impl Groups {
         self.rebuild_in(groups, if cut { ranges } else { 1 }, &blocks, &pairs);
     }
 
-    fn rebuild_in<I: Iterator<Item = (u32, u32)>>(
+    fn rebuild_in<I: Iterator<Item = (u32, T)>>(
         &mut self,
         groups: usize,
         ranges: usize,
@@ -119,12 +119,12 @@ impl Groups {
 
     /// The items of a group.
     #[inline(always)]
-    pub fn of(&self, group: usize) -> &[u32] {
+    pub fn of(&self, group: usize) -> &[T] {
         &self.items[self.first[group] as usize..self.first[group + 1] as usize]
     }
 
     /// Where each group begins and the last one ends, and all items, one group after the other.
-    pub fn into_parts(self) -> (Vec<u32>, Vec<u32>) {
+    pub fn into_parts(self) -> (Vec<u32>, Vec<T>) {
         (self.first, self.items)
     }
 
@@ -141,12 +141,12 @@ fn span(groups: usize, ranges: usize) -> usize {
 }
 
 /// So many items, whatever they are: where they need new memory, pages that those who fill them touch first.
-fn make_room(items: &mut Vec<u32>, count: usize) {
+fn make_room<T: bytemuck::Pod>(items: &mut Vec<T>, count: usize) {
     if items.capacity() < count {
         *items = Vec::new();
         *items = bytemuck::zeroed_vec(count);
     }
-    items.resize(count, 0);
+    items.resize(count, T::zeroed());
 }
 
 #[cfg(test)]
