@@ -25,7 +25,7 @@ const AT_ONCE: usize = 64;
 
 /// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
 pub(super) const FEED_BYTES: usize =
-    BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + (16 << 10) * size_of::<Corner>() + buckets::reader_bytes(3);
+    BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + (16 << 10) * size_of::<Corner>() + buckets::reader_bytes(6);
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {
@@ -244,9 +244,8 @@ pub(super) fn stream<'u, K: Sink>(
         Corners::Sorted(all, buckets) => {
             let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
             feeds[0].repeated = buckets.repeated;
-            buckets.stream(crew, &mut feeds, |feed, triangles| {
-                let mut corner = |v: u32| Ok(Corner(all[v as usize].load(Relaxed)));
-                triangles.iter().try_for_each(|triangle| feed.gather(*triangle, &mut corner))
+            buckets.stream(crew, &mut feeds, |feed, form, records| {
+                form.each(records, |triangle| feed.gather(triangle, |v| Ok(Corner(all[v as usize].load(Relaxed)))))
             })?;
             feeds
         }

@@ -7,7 +7,7 @@
 //! passed. Buckets finer than ranges cost nothing and keep faces that are close together, whose cells then stay in the
 //! caches.
 
-use super::buckets::{self, Buckets, Run, Writer};
+use super::buckets::{self, Bucket, Buckets, Form, Run, Writer};
 use super::corners::{Feed, Sink};
 use super::grid::Corner;
 use super::spill::SpillFile;
@@ -19,7 +19,7 @@ use crate::scratch::Scratch;
 
 /// Bytes that a worker of a join holds: buffers while faces are put into buckets; then a block of records, and buffers for
 /// those that wait at ranges further up, of which there are fewer.
-pub(super) const WORKER_BYTES: usize = buckets::WRITER_BYTES + buckets::reader_bytes(WORDS[2]);
+pub(super) const WORKER_BYTES: usize = buckets::WRITER_BYTES + buckets::reader_bytes(HALVES[2]);
 
 /// How vertices are cut up.
 #[derive(Debug, Clone, Copy)]
@@ -58,9 +58,18 @@ impl Cut {
     }
 }
 
-/// Words of a record of a face with 0, 1 or 2 corners resolved: those come first, two words each, then the vertices of
-/// the others. Turning a face so keeps its orientation.
-const WORDS: [usize; 3] = [3, 4, 5];
+/// Halves of words of a record of a face with 0, 1 or 2 corners resolved: those come first, two words each, then the vertices
+/// of the others. Turning a face so keeps its orientation.
+const HALVES: [usize; 3] = [6, 8, 10];
+
+/// What a record is of.
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    /// A face of which nothing is resolved.
+    Whole(Form),
+    /// One of which so many corners are.
+    Begun(usize),
+}
 
 /// Streams every face of an indexed scan to sinks, with at most `resident_bytes` of the spill in memory (or a 256th of
 /// it, if that is more).
@@ -82,15 +91,19 @@ pub(super) fn stream<'u, K: Sink>(
         crew.progress.check()?;
         let (first, count) = cut.span(range);
         load(spill, first, &mut corners[..count], crew.workers)?;
-        let buckets = waiting.files.iter_mut().skip(range * cut.buckets_a_range as usize);
-        let whole = buckets.take(cut.buckets_a_range as usize).filter_map(Option::take).map(|file| (WORDS[0], file));
-        let begun = (1..3).filter_map(|known| Some((WORDS[known], partial[known - 1][range].take()?)));
+        let buckets = waiting.all.iter_mut().skip(range * cut.buckets_a_range as usize);
+        let whole = buckets.take(cut.buckets_a_range as usize).flat_map(Bucket::take_files);
+        let whole = whole.map(|(form, file)| (form.halves(), Kind::Whole(form), file));
+        let begun = |known: usize| Some((HALVES[known], Kind::Begun(known), partial[known - 1][range].take()?));
+        let begun = (1..3).filter_map(begun);
         let files: Vec<_> = whole.chain(begun).collect();
         let sweep = Sweep { cut, range, first: first as u32, corners: &corners[..count] };
         let onward = || partial.each_ref().map(|runs| Writer::new(runs, scratch));
         let mut workers: Vec<_> = feeds.iter_mut().map(|feed| (feed, onward())).collect();
-        buckets::read(&files, crew, &mut workers, |(feed, onward), words, records| {
-            records.chunks_exact(words).try_for_each(|record| sweep.resolve(record, words - WORDS[0], feed, onward))
+        buckets::read(&files, crew, &mut workers, |(feed, onward), kind, records| match *kind {
+            Kind::Whole(form) => form.each(records, |face| sweep.resolve(&face, 0, feed, onward)),
+            Kind::Begun(known) => (bytemuck::cast_slice(records).chunks_exact(HALVES[known] / 2))
+                .try_for_each(|record| sweep.resolve(record, known, feed, onward)),
         })?;
         workers.into_iter().flat_map(|(_, onward)| onward).try_for_each(Writer::finish)?;
     }
@@ -160,13 +173,14 @@ impl Sweep<'_> {
             let last = (0..3).find(|i| open(*i)).unwrap_or(2);
             let [a, b] = [1, 2].map(|k| halves(face[(last + k) % 3]));
             let to = self.cut.range(vertex(last));
-            return onward[1].push(to, &[a[0], a[1], b[0], b[1], vertex(last)]);
+            let record = [a[0], a[1], b[0], b[1], vertex(last)];
+            return onward[1].push(to, bytemuck::cast_slice(&record));
         }
         let lead = (0..3).find(|i| !open(*i)).unwrap_or(0);
         let (u, v) = (vertex((lead + 1) % 3), vertex((lead + 2) % 3));
         let a = halves(face[lead]);
         let to = self.cut.range(u.min(v));
         debug_assert!(to > self.range);
-        onward[0].push(to, &[a[0], a[1], u, v])
+        onward[0].push(to, bytemuck::cast_slice(&[a[0], a[1], u, v]))
     }
 }

@@ -33,8 +33,8 @@
 //! | **in all** | **47** | **81** | **141, 153** |
 //!
 //! beside 12 bytes for each of `raw_faces` (of which borders are given what survivors leave) and, until placement, up to
-//! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12 to 28 more a
-//! face, buckets in front of a resident spill 12 (`buckets.rs`). A scan whose survivors, borders or overflowing sums need
+//! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 6 to 28 more a
+//! face, buckets in front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or overflowing sums need
 //! more than that is clustered again, coarser, or in more passes.
 
 mod border;
@@ -336,7 +336,8 @@ impl Run<'_> {
                 Some(Sampler::new((&grid, &table), lattice, area, wanted, self.scratch)?)
             }
         };
-        let coherent = self.order == Order::Sensible;
+        // Faces from buckets are, as far as a worker's cache goes.
+        let coherent = self.order == Order::Sensible || self.buckets.is_some();
         let worker = || {
             let samples = sampler.as_ref().map(SampleWorker::new);
             FaceWorker::new(&table, &sums, &survivors, samples, quantum, coherent)

@@ -38,8 +38,9 @@ const HEAVIEST: f32 = (1u64 << 48) as f32;
 /// Lines that are fetched together: few enough for the first-level cache.
 pub(super) const AT_ONCE: usize = 64;
 
-/// Lines in a worker's cache: 128 KiB, which stays in the second-level cache.
-const CACHED: usize = 2048;
+/// Lines in a worker's cache: 256 KiB, which stays in the second-level cache, and holds the cells of most buckets: of half
+/// of them, faces in no order take a tenth longer.
+const CACHED: usize = 4096;
 /// The owner of an empty line.
 const NOBODY: u32 = u32::MAX;
 
