@@ -191,36 +191,43 @@ impl<S: Coordinate> Batch<S> {
         least_moving: usize,
         back: &mut Vec<u32>,
     ) {
-        let (together, rest) = faces.as_chunks::<LANES>();
-        for faces in together {
-            let mut doubtful = self.may_fold(simd, surface, faces, least_moving);
-            while doubtful != 0 {
-                let face = &faces[doubtful.trailing_zeros() as usize % LANES];
-                doubtful &= doubtful - 1;
-                back.extend(self.folded(surface, face, least_moving));
+        // Most faces vanish or stay as they are; which ones is as good as random, so that is told without a branch.
+        let (mut asking, mut count) = ([[0; 3]; CHECKED], 0);
+        for faces in faces.chunks(CHECKED) {
+            for face in faces {
+                let [a, b, c] = [self.leader(face[0]), self.leader(face[1]), self.leader(face[2])];
+                let moving = usize::from(a != NONE) + usize::from(b != NONE) + usize::from(c != NONE);
+                let vanishes = (a != NONE) & ((a == b) | (a == c)) | (b != NONE) & (b == c);
+                asking[count % CHECKED] = *face;
+                count += usize::from((moving >= least_moving) & !vanishes);
             }
+            let (together, rest) = asking[..std::mem::take(&mut count)].as_chunks::<LANES>();
+            for faces in together {
+                let mut doubtful = self.may_fold(simd, surface, faces);
+                while doubtful != 0 {
+                    let face = &faces[doubtful.trailing_zeros() as usize % LANES];
+                    doubtful &= doubtful - 1;
+                    back.extend(self.folded(surface, face, least_moving));
+                }
+            }
+            back.extend(rest.iter().filter_map(|face| self.folded(surface, face, least_moving)));
         }
-        back.extend(rest.iter().filter_map(|face| self.folded(surface, face, least_moving)));
     }
 
-    /// Which of these faces the batch may fold over, a bit each: all that it does, and hardly one that it does not. Whether a
-    /// face vanishes, or which of its corners move, is as good as random, so it is told without a branch.
+    /// Which of these faces, of which none vanishes, the batch may fold over, a bit each: all that it does, and hardly one
+    /// that it does not.
     #[inline(always)]
-    fn may_fold<V: Simd>(&self, simd: V, surface: &Surface<S>, faces: &[[u32; 3]; LANES], least_moving: usize) -> u64 {
-        let mut asking = 0;
+    fn may_fold<V: Simd>(&self, simd: V, surface: &Surface<S>, faces: &[[u32; 3]; LANES]) -> u64 {
         // The edges from the first corner, before and after, each axis side by side.
         let mut edges = [[[0f32; LANES]; 3]; 4];
         for (lane, face) in faces.iter().enumerate() {
-            let [a, b, c] = [self.leader(face[0]), self.leader(face[1]), self.leader(face[2])];
-            let moving = usize::from(a != NONE) + usize::from(b != NONE) + usize::from(c != NONE);
-            let vanishes = (a != NONE) & ((a == b) | (a == c)) | (b != NONE) & (b == c);
-            asking |= u64::from((moving >= least_moving) & !vanishes) << lane;
-            let place = |v: u32, leader: u32| {
+            let place = |v: u32| {
+                let leader = self.leader(v);
                 let (places, at) = if leader == NONE { (&surface.positions, v) } else { (&self.spots, leader) };
                 places[at as usize]
             };
             let was = [0, 1, 2].map(|i| surface.positions[face[i] as usize]);
-            let would = [place(face[0], a), place(face[1], b), place(face[2], c)];
+            let would = [place(face[0]), place(face[1]), place(face[2])];
             let steps =
                 [step(was[0], was[1]), step(was[0], was[2]), step(would[0], would[1]), step(would[0], would[2])];
             for (edge, step) in edges.iter_mut().zip(steps) {
@@ -233,7 +240,7 @@ impl<S: Coordinate> Batch<S> {
         let least = f32x8::splat(simd, SURE_COSINE) * (was_sq.sqrt() * would_sq.sqrt());
         let is_exact = was_sq.min(would_sq).simd_gt(f32x8::splat(simd, f32::MIN_POSITIVE / f32::EPSILON));
         let surely_not = dot(&was, &would).simd_gt(least) & is_exact;
-        asking & !surely_not.to_bitmask()
+        !surely_not.to_bitmask() & ((1 << LANES) - 1)
     }
 
     /// If the batch folds `face` over: one of its corners that would better stay, a leader only if there is no other.
@@ -301,7 +308,7 @@ pub(super) fn cheapest(v: u32, most: u32, edges: &impl Edges) -> (u32, u32) {
 
 /// Among the edges at `v` of that cost the other end of the first by hash.
 #[cold]
-fn first_by_hash(v: u32, cost: u32, edges: &impl Edges) -> u32 {
+pub(super) fn first_by_hash(v: u32, cost: u32, edges: &impl Edges) -> u32 {
     let mut first = (u32::MAX, NONE);
     edges.each(|found, u| {
         let key = (hash(v.min(u), v.max(u)), u);

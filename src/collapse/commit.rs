@@ -7,13 +7,14 @@ use super::surface::{KEPT, Surface, TOUCHED};
 use crate::cores::InPieces;
 use crate::mesh::{Coordinate, widen};
 use crate::quadric::PackedQuadric;
+use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 
-/// A face still uses the vertex.
-const USED: u8 = 4;
+/// Which vertices faces use, a byte each: faces that stay as they are, and those that change.
+type Seen = [Vec<AtomicU8>; 2];
 
-/// Groups whose merged quadrics are held at a time, 64 bytes each.
+/// Groups whose merged quadrics are held at a time, 56 bytes each.
 const BLOCK: usize = 1 << 16;
 
 /// Vertices that are seen to together.
@@ -26,13 +27,10 @@ pub(super) fn commit<S: Coordinate>(
     leaders: &[u32],
     followed: &mut Followed<S>,
 ) -> f64 {
-    surface.marks.par_iter().in_pieces(4096).for_each(|m| {
-        m.fetch_and(KEPT, Relaxed);
-    });
     surface.forget_roots();
     let error_sq = merge(surface, batch, leaders);
-    rename(surface, batch);
-    compact(surface, batch.spare());
+    let seen = rename(surface, batch);
+    compact(surface, batch.spare(), &seen);
     surface.pieces.count(&surface.faces);
     let numbers = &batch.next;
     for homes in followed.lists() {
@@ -47,19 +45,13 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
     let mut error_sq = 0.0f64;
     for block in leaders.chunks(BLOCK) {
         let this = &*surface;
-        let merged: Vec<(PackedQuadric, u8, f64)> = block
-            .par_iter()
-            .in_pieces(256)
-            .map_init(Vec::new, |members, &v| {
-                batch.members(v, members);
-                let q = this.merged(members, widen(batch.spots[v as usize]));
-                let marks = members.iter().fold(0, |marks, &u| marks | this.mark(u)) & KEPT;
-                (q.pack(), marks, if q.w > 0.0 { q.c / q.w } else { 0.0 })
-            })
-            .collect();
-        put(&mut surface.learnt, block, |quadric, i| *quadric = merged[i].0);
-        put(&mut surface.marks, block, |mark, i| *mark.get_mut() = merged[i].1);
-        error_sq = merged.iter().map(|merged| merged.2).fold(error_sq, f64::max);
+        let mut merged: Vec<Merged> = bytemuck::zeroed_vec(block.len());
+        merged.par_chunks_mut(TOGETHER).zip(block.par_chunks(TOGETHER)).in_pieces(1).for_each(|(merged, leaders)| {
+            dispatch!(Level::new(), simd => merge_some(simd, this, batch, leaders, merged));
+        });
+        put(&mut surface.learnt, block, |quadric, i| *quadric = merged[i].quadric);
+        put(&mut surface.marks, block, |mark, i| *mark.get_mut() = merged[i].marks as u8);
+        error_sq = merged.iter().map(|merged| merged.error_sq).fold(error_sq, f64::max);
     }
     if surface.is_shaded() {
         let this = &*surface;
@@ -88,6 +80,35 @@ fn merge<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>, leaders: &[u
     error_sq
 }
 
+/// Groups that are merged by one task.
+const TOGETHER: usize = 256;
+
+/// What a group becomes.
+#[derive(Clone, Copy, bytemuck::Zeroable)]
+struct Merged {
+    quadric: PackedQuadric,
+    marks: u32,
+    error_sq: f64,
+}
+
+#[inline(always)]
+fn merge_some<S: Coordinate, V: Simd>(
+    _: V,
+    surface: &Surface<S>,
+    batch: &Batch<S>,
+    leaders: &[u32],
+    merged: &mut [Merged],
+) {
+    let mut members = Vec::new();
+    for (&v, merged) in leaders.iter().zip(merged) {
+        batch.members(v, &mut members);
+        let q = surface.merged(&members, widen(batch.spots[v as usize]));
+        let marks = members.iter().fold(0, |marks, &u| marks | surface.mark(u)) & KEPT;
+        let error_sq = if q.w > 0.0 { q.c / q.w } else { 0.0 };
+        *merged = Merged { quadric: q.pack(), marks: marks.into(), error_sq };
+    }
+}
+
 /// Changes the items of some of the leaders, which are in order; `change` hears which of them it is.
 fn put<T: Send>(items: &mut [T], leaders: &[u32], change: impl Fn(&mut T, usize) + Sync) {
     items.par_chunks_mut(PART).enumerate().for_each(|(part, items)| {
@@ -100,48 +121,59 @@ fn put<T: Send>(items: &mut [T], leaders: &[u32], change: impl Fn(&mut T, usize)
     });
 }
 
-/// Gives faces their new vertices and marks those that are no more, by [`NONE`].
-fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) {
-    let marks = &surface.marks;
-    let mark = |v: u32, bits: u8| {
-        let m = &marks[v as usize];
-        if m.load(Relaxed) & bits != bits {
-            m.fetch_or(bits, Relaxed);
-        }
-    };
-    surface.faces.par_iter_mut().in_pieces(4096).for_each(|face| {
-        let now = face.map(|v| batch.becomes(v));
-        // Leaders move, too.
-        let changed = batch.moves(face[0]) | batch.moves(face[1]) | batch.moves(face[2]);
-        if now[0] != now[1] && now[1] != now[2] && now[2] != now[0] {
-            let bits = if changed { USED | TOUCHED } else { USED };
-            now.iter().for_each(|&v| mark(v, bits));
+/// Faces that are renamed by one task.
+const RENAMED: usize = 1 << 12;
+
+/// What the vertices of those that go are written to instead, far enough apart that no two threads write to one line.
+const NOBODIES: usize = 64;
+const LINE: usize = 64;
+
+/// Gives faces their new vertices and marks those that are no more, by [`NONE`]. Which these are is as good as random, so that
+/// is done without a branch, and a byte is only ever written. Returns which vertices faces still use.
+fn rename<S: Coordinate>(surface: &mut Surface<S>, batch: &Batch<S>) -> Seen {
+    let vertices = surface.positions.len();
+    let seen: Seen = [(); 2].map(|()| bytemuck::zeroed_vec(vertices + LINE * NOBODIES));
+    surface.faces.par_chunks_mut(RENAMED).enumerate().in_pieces(1).for_each(|(chunk, faces)| {
+        let nobody = vertices + chunk % NOBODIES * LINE;
+        for face in faces {
+            let leaders = face.map(|v| batch.leader(v));
+            let mut now = *face;
+            for (now, leader) in now.iter_mut().zip(leaders) {
+                *now = if leader == NONE { *now } else { leader };
+            }
+            // Leaders move, too.
+            let changes = (leaders[0] != NONE) | (leaders[1] != NONE) | (leaders[2] != NONE);
+            let lives = (now[0] != now[1]) & (now[1] != now[2]) & (now[2] != now[0]);
+            let seen = &seen[usize::from(changes)];
+            for v in now {
+                seen[if lives { v as usize } else { nobody }].store(1, Relaxed);
+            }
+            now[0] = if lives { now[0] } else { NONE };
             *face = now;
-        } else {
-            face[0] = NONE;
         }
     });
+    seen
 }
 
 /// Drops faces that are no more and vertices that no face uses.
-fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
+fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32], [same, changed]: &Seen) {
     let Surface { faces, costs, positions, learnt, current, shades, wedges, marks, pieces, .. } = surface;
     // How many are kept of each part first, so that threads can number parts.
-    let kept = |marks: &[AtomicU8]| marks.iter().map(|mark| u32::from(mark.load(Relaxed) & USED != 0)).sum::<u32>();
-    let mut firsts: Vec<u32> = marks.par_chunks(PART).map(kept).collect();
+    let is_used = |v: usize| u32::from(same[v].load(Relaxed) | changed[v].load(Relaxed));
+    let kept = |part: &[AtomicU32], first: usize| (first..first + part.len()).map(is_used).sum::<u32>();
+    let parts = numbers.par_chunks(PART).enumerate();
+    let mut firsts: Vec<u32> = parts.map(|(part, numbers)| kept(numbers, part * PART)).collect();
     let mut next = 0;
     for first in &mut firsts {
         next += std::mem::replace(first, next);
     }
-    numbers.par_chunks_mut(PART).zip(marks.par_chunks_mut(PART)).zip(firsts).for_each(
-        |((numbers, marks), mut next)| {
-            for (number, mark) in numbers.iter_mut().zip(marks) {
-                let used = *mark.get_mut() & USED != 0;
-                *number.get_mut() = if used { next } else { NONE };
-                next += u32::from(used);
-            }
-        },
-    );
+    numbers.par_chunks_mut(PART).enumerate().zip(firsts).for_each(|((part, numbers), mut next)| {
+        for (v, number) in (part * PART..).zip(numbers) {
+            let used = is_used(v);
+            *number.get_mut() = if used != 0 { next } else { NONE };
+            next += used;
+        }
+    });
     let numbers = &*numbers;
     let lives = |f: usize| faces[f][0] != NONE;
     keep(costs, |f, _| lives(f));
@@ -156,16 +188,15 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32]) {
     keep(positions, |v, _| stays(v));
     keep(&mut pieces.of, |v, _| stays(v));
     let kept: Vec<AtomicU8> = bytemuck::zeroed_vec(next as usize);
-    marks.par_iter().zip(numbers).in_pieces(4096).for_each(|(mark, number)| {
+    marks.par_iter().zip(numbers).zip(changed).in_pieces(4096).for_each(|((mark, number), changed)| {
         if let Some(place) = kept.get(number.load(Relaxed) as usize) {
-            place.store(mark.load(Relaxed), Relaxed);
+            let touched = if changed.load(Relaxed) == 0 { 0 } else { TOUCHED };
+            place.store(mark.load(Relaxed) & KEPT | touched, Relaxed);
         }
     });
     *marks = kept;
-    faces.par_iter_mut().in_pieces(4096).filter(|face| face[0] != NONE).for_each(|face| {
-        *face = face.map(|v| numbers[v as usize].load(Relaxed));
-    });
     keep(faces, |_, face| face[0] != NONE);
+    faces.par_iter_mut().in_pieces(4096).for_each(|face| *face = face.map(|v| numbers[v as usize].load(Relaxed)));
 }
 
 /// Keeps the items that stay, in their order: threads move those of each part to its beginning, then parts move up. Which

@@ -6,14 +6,14 @@
 //! matching as in [`pairs`](super::pairs): whoever is left looks again at who else is. Edges are ranked by what their ends have
 //! learnt, without current quadrics and without keeping any cost.
 
-use super::batch::{Batch, Edges, NONE, cheapest};
+use super::batch::{Batch, Edges, NONE, first_by_hash};
 use super::pairs::TURNS;
 use super::rank::LANES;
 use super::surface::Surface;
 use super::{GROUPS_SHARE, Options};
 use crate::cores::InPieces;
 use crate::mesh::Coordinate;
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::{Level, Simd, dispatch, prelude::*, u32x8};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -57,13 +57,15 @@ fn look<S: Coordinate, V: Simd>(
     best: &mut [AtomicU32],
     costs: &mut [f32],
 ) {
+    let is_locked = |v: u32| locks && surface.locked(v);
+    let mut around = Around::default();
     for (v, (best, cost)) in (first..).zip(best.iter_mut().zip(costs)) {
-        let ranked = Ranked { simd, surface, v, locks };
         *cost = f32::INFINITY;
-        if surface.pieces.is_small(v) || ranked.is_locked(v) {
+        if surface.pieces.is_small(v) || is_locked(v) {
             continue;
         }
-        let (least, end) = cheapest(v, u32::MAX, &ranked);
+        around.fill(surface, v);
+        let (least, end) = (Ranked { simd, surface, v, around: &around, may: |u| !is_locked(u) }).cheapest(u32::MAX);
         // Else all around are locked.
         if end != NONE {
             *best.get_mut() = end;
@@ -72,38 +74,77 @@ fn look<S: Coordinate, V: Simd>(
     }
 }
 
-/// The edges at `v` to what is not locked, where anything is.
-struct Ranked<'a, S, V> {
-    simd: V,
-    surface: &'a Surface<S>,
-    v: u32,
-    locks: bool,
+/// The neighbours of a vertex.
+#[derive(Default)]
+struct Around {
+    /// In lots of [`LANES`], the last of which is filled up.
+    lots: Vec<[u32; LANES]>,
+    count: usize,
 }
 
-impl<S: Coordinate, V> Ranked<'_, S, V> {
+impl Around {
+    /// Those of `v`. Where faces agree, each comes first in one of them; else all are taken from both sides.
     #[inline(always)]
-    fn is_locked(&self, v: u32) -> bool {
-        self.locks && self.surface.locked(v)
+    fn fill<S: Coordinate>(&mut self, surface: &Surface<S>, v: u32) {
+        let star = surface.stars.of(v);
+        self.count = if surface.odd(v) { 2 * star.len() } else { star.len() };
+        self.lots.resize(self.count.div_ceil(LANES), [v; LANES]);
+        if let Some(last) = self.lots.last_mut() {
+            *last = [v; LANES];
+        }
+        let all = self.lots.as_flattened_mut();
+        for (to, &corner) in all.iter_mut().zip(star) {
+            *to = surface.ends(corner).0;
+        }
+        if surface.odd(v) {
+            for (to, &corner) in all[star.len()..].iter_mut().zip(star) {
+                *to = surface.ends(corner).1;
+            }
+        }
     }
 }
 
-impl<S: Coordinate, V: Simd> Edges for Ranked<'_, S, V> {
+/// The edges at `v`, to neighbours that it may go with.
+struct Ranked<'a, S, V, F> {
+    simd: V,
+    surface: &'a Surface<S>,
+    v: u32,
+    around: &'a Around,
+    may: F,
+}
+
+impl<S: Coordinate, V: Simd, F: Fn(u32) -> bool> Ranked<'_, S, V, F> {
+    /// What [`cheapest`] finds, among a lot at a time.
+    #[inline(always)]
+    fn cheapest(&self, most: u32) -> (u32, u32) {
+        let (mut least, mut tied) = ((most, NONE), false);
+        for (lot, to) in self.around.lots.iter().enumerate() {
+            let costs = u32x8::load_array(self.simd, self.costs(lot, to));
+            let lowest = costs.reduce_min();
+            let those = costs.simd_eq(u32x8::splat(self.simd, lowest)).to_bitmask();
+            tied = if lowest < least.0 { !those.is_power_of_two() } else { tied || lowest == least.0 };
+            least = if lowest < least.0 { (lowest, to[those.trailing_zeros() as usize % LANES]) } else { least };
+        }
+        if tied && least.1 != NONE { (least.0, first_by_hash(self.v, least.0, self)) } else { least }
+    }
+
+    /// What a lot's edges cost, as bits; more than anything where none may be chosen.
+    #[inline(always)]
+    fn costs(&self, lot: usize, to: &[u32; LANES]) -> [u32; LANES] {
+        let ranks = self.surface.ranks(self.simd, self.v, *to);
+        let mut costs = [u32::MAX; LANES];
+        for (i, (cost, rank)) in costs.iter_mut().zip(ranks).enumerate() {
+            *cost = if lot * LANES + i < self.around.count && (self.may)(to[i]) { rank.to_bits() } else { u32::MAX };
+        }
+        costs
+    }
+}
+
+impl<S: Coordinate, V: Simd, F: Fn(u32) -> bool> Edges for Ranked<'_, S, V, F> {
     #[inline(always)]
     fn each(&self, mut take: impl FnMut(u32, u32)) {
-        let surface = self.surface;
-        // Where faces agree, each neighbour comes first in one of them. The body is there once, so that it stays a loop.
-        for way in 0..=usize::from(surface.odd(self.v)) {
-            for corners in surface.stars.of(self.v).chunks(LANES) {
-                let last = corners.len() - 1;
-                let to = std::array::from_fn(|i| {
-                    let (p, q) = surface.ends(corners[i.min(last)]);
-                    if way == 0 { p } else { q }
-                });
-                let costs = surface.ranks(self.simd, self.v, to);
-                for (i, (cost, u)) in costs.into_iter().zip(to).enumerate() {
-                    take(if i > last || self.is_locked(u) { u32::MAX } else { cost.to_bits() }, u);
-                }
-            }
+        for (lot, to) in self.around.lots.iter().enumerate() {
+            self.costs(lot, to).into_iter().zip(to).for_each(|(cost, u)| take(cost, *u));
         }
     }
 }
@@ -142,25 +183,15 @@ fn look_again<S: Coordinate, V: Simd>(
     vertices: &[u32],
     limit: f32,
 ) {
+    let may = |u: u32| !batch.moves(u) && !(locks && surface.locked(u));
+    let mut around = Around::default();
     for &v in vertices {
         let best = &batch.next[v as usize];
         if batch.moves(best.load(Relaxed)) {
-            let free = Free { all: Ranked { simd, surface, v, locks }, batch };
-            best.store(cheapest(v, limit.to_bits() + 1, &free).1, Relaxed);
+            around.fill(surface, v);
+            let ranked = Ranked { simd, surface, v, around: &around, may };
+            best.store(ranked.cheapest(limit.to_bits() + 1).1, Relaxed);
         }
-    }
-}
-
-/// Of some edges those to whom has not gone with another.
-struct Free<'a, S, E> {
-    all: E,
-    batch: &'a Batch<S>,
-}
-
-impl<S: Coordinate, E: Edges> Edges for Free<'_, S, E> {
-    #[inline(always)]
-    fn each(&self, mut take: impl FnMut(u32, u32)) {
-        self.all.each(|cost, u| take(if self.batch.moves(u) { u32::MAX } else { cost }, u));
     }
 }
 
@@ -224,7 +255,32 @@ fn settle_some<S: Coordinate, V: Simd>(_: V, batch: &Batch<S>, surface: &Surface
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::collapse::batch::cheapest;
     use crate::collapse::surface::tests::bumps;
+    use crate::vectors::levels;
+
+    #[test]
+    fn a_lot_at_a_time_finds_what_one_at_a_time_does() {
+        // On a plane all edges cost nothing, and hashes decide.
+        let mut flat = bumps::<f32>();
+        flat.positions.iter_mut().for_each(|p| p[2] = 0.0);
+        flat.learn(&Options::to(0));
+        for surface in [bumps::<f32>(), flat] {
+            for (v, level) in
+                (0..surface.positions.len() as u32).flat_map(|v| levels().into_iter().map(move |l| (v, l)))
+            {
+                let mut around = Around::default();
+                around.fill(&surface, v);
+                for (most, every) in [(u32::MAX, 1), (u32::MAX, 2), (1e-4f32.to_bits(), 1), (0, 1)] {
+                    dispatch!(level, simd => {
+                        let may = |u: u32| u.is_multiple_of(every);
+                        let ranked = Ranked { simd, surface: &surface, v, around: &around, may };
+                        assert_eq!(ranked.cheapest(most), cheapest(v, most, &ranked), "{v} {every}");
+                    });
+                }
+            }
+        }
+    }
 
     #[test]
     fn those_left_over_pair_up_among_themselves() {

@@ -121,9 +121,8 @@ impl<S: Coordinate> Surface<S> {
     /// The other two vertices of the face that a corner is in, in its order.
     #[inline(always)]
     pub fn ends(&self, corner: u32) -> (u32, u32) {
-        let (f, side) = parts(corner);
-        let face = &self.faces[f];
-        (face[after(side)], face[before(side)])
+        let ((f, side), corners) = (parts(corner), self.faces.as_flattened());
+        (corners[3 * f + after(side)], corners[3 * f + before(side)])
     }
 
     #[inline(always)]
