@@ -167,8 +167,13 @@ impl<S: Coordinate> Batch<S> {
             }
             !leaves(v)
         });
-        for (i, &v) in members.iter().enumerate() {
-            self.next[v as usize].store(members[(i + 1) % members.len()], Relaxed);
+        self.link(members);
+    }
+
+    /// Has the members of a group follow one another in that order.
+    pub fn link(&self, members: &[u32]) {
+        for (&v, &next) in members.iter().zip(members[1..].iter().chain(&members[..1])) {
+            self.next[v as usize].store(next, Relaxed);
         }
     }
 

@@ -6,7 +6,7 @@
 //! matching as in [`pairs`](super::pairs): whoever is left looks again at who else is. Edges are ranked by what their ends have
 //! learnt, without current quadrics and without keeping any cost.
 
-use super::batch::{Batch, Edges, NONE, first_by_hash};
+use super::batch::{Batch, Edges, NONE, first_by_hash, hash};
 use super::pairs::TURNS;
 use super::rank::LANES;
 use super::surface::Surface;
@@ -117,15 +117,19 @@ impl<S: Coordinate, V: Simd, F: Fn(u32) -> bool> Ranked<'_, S, V, F> {
     /// What [`cheapest`] finds, among a lot at a time.
     #[inline(always)]
     fn cheapest(&self, most: u32) -> (u32, u32) {
-        let (mut least, mut tied) = ((most, NONE), false);
+        let (mut least, mut tied, mut those) = ((most, NONE), false, 0);
         for (lot, to) in self.around.lots.iter().enumerate() {
             let costs = u32x8::load_array(self.simd, self.costs(lot, to));
             let lowest = costs.reduce_min();
-            let those = costs.simd_eq(u32x8::splat(self.simd, lowest)).to_bitmask();
+            those = costs.simd_eq(u32x8::splat(self.simd, lowest)).to_bitmask();
             tied = if lowest < least.0 { !those.is_power_of_two() } else { tied || lowest == least.0 };
             least = if lowest < least.0 { (lowest, to[those.trailing_zeros() as usize % LANES]) } else { least };
         }
-        if tied && least.1 != NONE { (least.0, first_by_hash(self.v, least.0, self)) } else { least }
+        match self.around.lots.as_slice() {
+            _ if !tied || least.1 == NONE => least,
+            [to] => (least.0, first_of(self.v, to, those)),
+            _ => (least.0, first_by_hash(self.v, least.0, self)),
+        }
     }
 
     /// What a lot's edges cost, as bits; more than anything where none may be chosen.
@@ -147,6 +151,18 @@ impl<S: Coordinate, V: Simd, F: Fn(u32) -> bool> Edges for Ranked<'_, S, V, F> {
             self.costs(lot, to).into_iter().zip(to).for_each(|(cost, u)| take(cost, *u));
         }
     }
+}
+
+/// The first by hash of those neighbours of `v`, a bit each: what [`first_by_hash`] finds.
+#[inline(always)]
+fn first_of(v: u32, to: &[u32; LANES], mut those: u64) -> u32 {
+    let mut first = (u32::MAX, NONE);
+    while those != 0 {
+        let u = to[those.trailing_zeros() as usize % LANES];
+        those &= those - 1;
+        first = first.min((hash(v.min(u), v.max(u)), u));
+    }
+    first.1
 }
 
 /// Who goes with whom, among those whose cheapest edge is not above `limit`: ends of edges that both prefer, in some turns.
@@ -214,22 +230,22 @@ fn follow<S: Coordinate>(batch: &mut Batch<S>, costs: &[f32], limit: f32, longes
             (v, u) = (u, w);
         }
     });
-    // The groups as rings. Leaders are in before those who follow.
+    // The groups as rings, in whatever order. Leaders are in before those who follow.
     batch.next.par_iter_mut().zip(leaders).enumerate().in_pieces(4096).for_each(|(v, (next, leader))| {
         if leader.load(Relaxed) == v as u32 {
             *next.get_mut() = v as u32;
         }
     });
-    for v in 0..batch.leaders.len() as u32 {
-        let leader = batch.leader(v);
+    let (next, leaders) = (&batch.next, &batch.leaders);
+    next.par_iter().zip(leaders).enumerate().in_pieces(4096).for_each(|(v, (after, leader))| {
+        let (v, leader) = (v as u32, leader.load(Relaxed));
         if leader != NONE && leader != v {
-            let after = std::mem::replace(batch.next[leader as usize].get_mut(), v);
-            *batch.next[v as usize].get_mut() = after;
+            after.store(next[leader as usize].swap(v, Relaxed), Relaxed);
         }
-    }
+    });
 }
 
-/// Finds each group's place.
+/// Puts each group in order and finds its place.
 fn settle<S: Coordinate>(batch: &mut Batch<S>, surface: &Surface<S>) {
     let mut spots = std::mem::take(&mut batch.spots);
     let this = &*batch;
@@ -247,6 +263,10 @@ fn settle_some<S: Coordinate, V: Simd>(_: V, batch: &Batch<S>, surface: &Surface
     for (v, spot) in (first..).zip(spots) {
         if batch.leader(v) == v {
             batch.members(v, &mut members);
+            if members.len() > 2 {
+                members[1..].sort_unstable();
+                batch.link(&members);
+            }
             *spot = batch.place(surface, &members);
         }
     }
