@@ -199,7 +199,7 @@ fn look_again<S: Coordinate, V: Simd>(
     vertices: &[u32],
     limit: f32,
 ) {
-    let may = |u: u32| !batch.moves(u) && !(locks && surface.locked(u));
+    let may = |u: u32| !(batch.moves(u) || locks && surface.locked(u));
     let mut around = Around::default();
     for &v in vertices {
         let best = &batch.next[v as usize];
