@@ -13,15 +13,15 @@ use std::borrow::Borrow;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// Buckets at most: each is an open file, and a buffer a worker.
+/// Buckets at most: each is an open file or two, and as many buffers a worker.
 pub(super) const BUCKETS: u64 = 256;
-/// Halves of words of a buffer: 4 KiB. At 8 KiB fewer system calls gain 1 %.
-const BUFFER: usize = 2048;
+/// Halves of words of the buffers in front of a run, or of one in each of two sets of runs: 8 KiB.
+pub(super) const BUFFER: usize = 4096;
 
 /// Bytes of scratch that a face takes, at most.
 pub(super) const FACE_BYTES: u64 = 12;
-/// Bytes that a worker holds while faces are put into buckets, or records into two sets of runs as large.
-pub(super) const WRITER_BYTES: usize = 2 * BUCKETS as usize * BUFFER * 2;
+/// Bytes that a worker holds while faces are put into buckets.
+pub(super) const WRITER_BYTES: usize = BUCKETS as usize * BUFFER * 2;
 
 /// Vertices of a bucket, as a power of two.
 pub(super) fn bucket_bits(vertices: u64) -> u32 {
@@ -40,7 +40,7 @@ pub(super) struct Buckets {
 pub(super) struct Bucket {
     first: u32,
     near: Option<ScratchFile>,
-    wide: Option<ScratchFile>,
+    pub(super) wide: Option<ScratchFile>,
 }
 
 /// How faces are put down.
@@ -53,7 +53,7 @@ pub(super) enum Form {
 }
 
 impl Form {
-    pub(super) const fn halves(self) -> usize {
+    const fn halves(self) -> usize {
         match self {
             Form::Near { .. } => 3,
             Form::Wide => 6,
@@ -74,28 +74,22 @@ impl Form {
 }
 
 impl Bucket {
-    /// Its files.
-    pub(super) fn files(&self) -> impl Iterator<Item = (Form, &ScratchFile)> {
+    fn files(&self) -> impl Iterator<Item = (Form, &ScratchFile)> {
         let near = self.near.iter().map(|file| (Form::Near { first: self.first }, file));
         near.chain(self.wide.iter().map(|file| (Form::Wide, file)))
-    }
-
-    /// The same, which go with it.
-    pub(super) fn take_files(&mut self) -> impl Iterator<Item = (Form, ScratchFile)> + use<> {
-        let near = self.near.take().map(|file| (Form::Near { first: self.first }, file));
-        near.into_iter().chain(self.wide.take().map(|file| (Form::Wide, file)))
     }
 }
 
 impl Buckets {
-    /// Puts an indexed scan's faces into buckets.
-    pub(super) fn fill(scan: &Scan, crew: &Crew, scratch: &Scratch) -> Result<Buckets> {
+    /// Puts an indexed scan's faces into buckets, each in a form as short as it allows, or all of them wide.
+    pub(super) fn fill(scan: &Scan, crew: &Crew, scratch: &Scratch, all_wide: bool) -> Result<Buckets> {
         let bits = bucket_bits(scan.vertex_count());
         let count = scan.vertex_count().div_ceil(1 << bits) as usize;
         let runs: [Vec<Run>; 2] = [(); 2].map(|()| (0..count).map(|_| Run::default()).collect());
+        let buffer = if all_wide { BUFFER } else { BUFFER / 2 };
         let workers = scan.triangles(
             crew,
-            || (runs.each_ref().map(|runs| Writer::new(runs, scratch)), 0),
+            || (runs.each_ref().map(|runs| Writer::new(runs, scratch, buffer)), 0),
             |([near, wide], repeated), chunk| {
                 for &[a, b, c] in chunk.triangles {
                     if a == b || b == c || c == a {
@@ -110,7 +104,7 @@ impl Buckets {
                     };
                     let bucket = (a >> bits) as usize;
                     let [from, to_b, to_c] = [a & ((1 << bits) - 1), b - a, c - a];
-                    if (from | to_b | to_c) >> 16 == 0 {
+                    if !all_wide && (from | to_b | to_c) >> 16 == 0 {
                         near.push(bucket, &[from as u16, to_b as u16, to_c as u16])?;
                     } else {
                         wide.push(bucket, &bytemuck::cast::<_, [u16; 6]>(face))?;
@@ -168,17 +162,20 @@ impl Run {
 pub(super) struct Writer<'a> {
     runs: &'a [Run],
     scratch: &'a Scratch,
+    /// Halves of words of each.
+    room: usize,
     buffers: Vec<Vec<u16>>,
 }
 
 impl<'a> Writer<'a> {
-    pub(super) fn new(runs: &'a [Run], scratch: &'a Scratch) -> Self {
-        Writer { runs, scratch, buffers: vec![Vec::new(); runs.len()] }
+    /// With buffers of so many halves of words.
+    pub(super) fn new(runs: &'a [Run], scratch: &'a Scratch, room: usize) -> Self {
+        Writer { runs, scratch, room, buffers: vec![Vec::new(); runs.len()] }
     }
 
     #[inline(always)]
     pub(super) fn push(&mut self, run: usize, record: &[u16]) -> Result<()> {
-        if self.buffers[run].len() + record.len() > BUFFER {
+        if self.buffers[run].len() + record.len() > self.room {
             self.flush(run)?;
         }
         self.buffers[run].extend_from_slice(record);
@@ -189,7 +186,7 @@ impl<'a> Writer<'a> {
     fn flush(&mut self, run: usize) -> Result<()> {
         self.runs[run].append(&self.buffers[run], self.scratch)?;
         self.buffers[run].clear();
-        self.buffers[run].reserve_exact(BUFFER);
+        self.buffers[run].reserve_exact(self.room);
         Ok(())
     }
 

@@ -7,7 +7,7 @@
 //! passed. Buckets finer than ranges cost nothing and keep faces that are close together, whose cells then stay in the
 //! caches.
 
-use super::buckets::{self, Bucket, Buckets, Form, Run, Writer};
+use super::buckets::{self, BUFFER, Buckets, Run, Writer};
 use super::corners::{Feed, Sink};
 use super::grid::Corner;
 use super::spill::SpillFile;
@@ -62,15 +62,6 @@ impl Cut {
 /// of the others. Turning a face so keeps its orientation.
 const HALVES: [usize; 3] = [6, 8, 10];
 
-/// What a record is of.
-#[derive(Debug, Clone, Copy)]
-enum Kind {
-    /// A face of which nothing is resolved.
-    Whole(Form),
-    /// One of which so many corners are.
-    Begun(usize),
-}
-
 /// Streams every face of an indexed scan to sinks, with at most `resident_bytes` of the spill in memory (or a 256th of
 /// it, if that is more).
 pub(super) fn stream<'u, K: Sink>(
@@ -82,7 +73,7 @@ pub(super) fn stream<'u, K: Sink>(
     sink: impl Fn() -> K + Sync,
 ) -> Result<Vec<Feed<'u, K>>> {
     let cut = Cut::new(spill.vertices(), resident_bytes);
-    let mut waiting = Buckets::fill(scan, crew, scratch)?;
+    let mut waiting = Buckets::fill(scan, crew, scratch, true)?;
     let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
     feeds[0].repeated = waiting.repeated;
     let partial: [Vec<Run>; 2] = std::array::from_fn(|_| (0..cut.ranges()).map(|_| Run::default()).collect());
@@ -92,18 +83,15 @@ pub(super) fn stream<'u, K: Sink>(
         let (first, count) = cut.span(range);
         load(spill, first, &mut corners[..count], crew.workers)?;
         let buckets = waiting.all.iter_mut().skip(range * cut.buckets_a_range as usize);
-        let whole = buckets.take(cut.buckets_a_range as usize).flat_map(Bucket::take_files);
-        let whole = whole.map(|(form, file)| (form.halves(), Kind::Whole(form), file));
-        let begun = |known: usize| Some((HALVES[known], Kind::Begun(known), partial[known - 1][range].take()?));
-        let begun = (1..3).filter_map(begun);
-        let files: Vec<_> = whole.chain(begun).collect();
+        let whole = buckets.take(cut.buckets_a_range as usize).filter_map(|bucket| Some((0, bucket.wide.take()?)));
+        let begun = (1..3).filter_map(|known| Some((known, partial[known - 1][range].take()?)));
+        let files: Vec<_> = whole.chain(begun).map(|(known, file)| (HALVES[known], known, file)).collect();
         let sweep = Sweep { cut, range, first: first as u32, corners: &corners[..count] };
-        let onward = || partial.each_ref().map(|runs| Writer::new(runs, scratch));
+        let onward = || partial.each_ref().map(|runs| Writer::new(runs, scratch, BUFFER));
         let mut workers: Vec<_> = feeds.iter_mut().map(|feed| (feed, onward())).collect();
-        buckets::read(&files, crew, &mut workers, |(feed, onward), kind, records| match *kind {
-            Kind::Whole(form) => form.each(records, |face| sweep.resolve(&face, 0, feed, onward)),
-            Kind::Begun(known) => (bytemuck::cast_slice(records).chunks_exact(HALVES[known] / 2))
-                .try_for_each(|record| sweep.resolve(record, known, feed, onward)),
+        buckets::read(&files, crew, &mut workers, |(feed, onward), &known, records| {
+            let mut records = bytemuck::cast_slice(records).chunks_exact(HALVES[known] / 2);
+            records.try_for_each(|record| sweep.resolve(record, known, feed, onward))
         })?;
         workers.into_iter().flat_map(|(_, onward)| onward).try_for_each(Writer::finish)?;
     }

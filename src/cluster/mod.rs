@@ -33,7 +33,7 @@
 //! | **in all** | **47** | **81** | **141, 153** |
 //!
 //! beside 12 bytes for each of `raw_faces` (of which borders are given what survivors leave) and, until placement, up to
-//! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 6 to 28 more a
+//! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12 to 28 more a
 //! face, buckets in front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or overflowing sums need
 //! more than that is clustered again, coarser, or in more passes.
 
@@ -237,7 +237,8 @@ pub fn cluster<S: Coordinate>(
     let stats = ClusterStats::default();
     let mut run = Run { scan, crew, scratch, options, place, order, buckets: None, coarser_weights: 1.0, stats };
     if order == Order::ShuffledFaces && run.has_room_for_buckets() {
-        run.buckets = Buckets::fill(scan, crew, scratch).map(Some).or_else(|error| run.without_buckets(error))?;
+        run.buckets =
+            Buckets::fill(scan, crew, scratch, false).map(Some).or_else(|error| run.without_buckets(error))?;
     }
     let learnt = loop {
         run.stats.attempts += 1;

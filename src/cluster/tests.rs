@@ -254,10 +254,10 @@ fn threads_order_and_memory_do_not_change_a_bit() {
     let nowhere = Scratch::in_folder(&folder.path().join("gone"));
     assert!(same(&shuffled.cluster_in(&nowhere, 2, &OPTIONS).unwrap(), &resident), "no room for buckets");
     let renamed = ply(&moved, &renamed);
-    let sorted_bytes = 12 * 119_600;
+    let (near_bytes, sorted_bytes) = (6 * 119_600, 12 * 119_600);
     for (made, workers, options, scratch_bytes, how) in [
-        (&shuffled, 1, &OPTIONS, sorted_bytes..sorted_bytes + 1, "in buckets"),
-        (&shuffled, 3, &OPTIONS, sorted_bytes..sorted_bytes + 1, "in buckets"),
+        (&shuffled, 1, &OPTIONS, near_bytes..near_bytes + 1, "in buckets"),
+        (&shuffled, 3, &OPTIONS, near_bytes..near_bytes + 1, "in buckets"),
         (&renamed, 2, &OPTIONS, 0..1, "resident"),
         (&shuffled, 1, &tight, sorted_bytes + 1..u64::MAX, "joined"),
         (&shuffled, 3, &tight, sorted_bytes + 1..u64::MAX, "joined"),
@@ -490,4 +490,52 @@ fn corners_and_keys_agree_on_the_cell() {
     let s = [5 << LOCAL_BITS | 17, 9 << LOCAL_BITS, 1 << LOCAL_BITS | 8191];
     assert_eq!(coordinates(grid::cell_key(s)), [5, 9, 1]);
     assert_eq!(Corner::new(3, s).local(), [17, 0, 8191]);
+}
+
+#[test]
+fn buckets_hold_near_faces_and_wide_ones() {
+    let vertices = 200_000;
+    let mut random = Random(7);
+    let mut faces = Vec::new();
+    for _ in 0..30_000 {
+        let a = random.next() as u32 % vertices;
+        let reach = [9, 65_535, 65_536, vertices][random.next() as usize % 4];
+        let [b, c] = [0, 1].map(|_| (a + random.next() as u32 % reach) % vertices);
+        faces.push([a, b, c]);
+    }
+    faces.extend([[0, 65_535, 1], [0, 65_536, 1], [1, 65_535, 0], [199_998, 199_999, 5]]);
+    let made = ply(&vec![[0.0; 3]; vertices as usize], &faces);
+    let progress = Progress::default();
+    let (scan, crew) = (Scan::open(&made.path, &progress).unwrap(), Crew { workers: 3, progress: &progress });
+    let led = |[a, b, c]: [u32; 3]| {
+        if a < b.min(c) {
+            [a, b, c]
+        } else if b < c {
+            [b, c, a]
+        } else {
+            [c, a, b]
+        }
+    };
+    let sound = faces.iter().filter(|[a, b, c]| a != b && b != c && c != a);
+    let mut expected: Vec<[u32; 3]> = sound.map(|face| led(*face)).collect();
+    expected.sort_unstable();
+    for all_wide in [false, true] {
+        let scratch = Scratch::in_folder(made.folder.path());
+        let buckets = Buckets::fill(&scan, &crew, &scratch, all_wide).unwrap();
+        let mut found = [const { Vec::new() }; 2];
+        let take = |found: &mut Vec<[u32; 3]>, form: buckets::Form, records: &[u16]| {
+            form.each(records, |face| {
+                found.push(face);
+                Ok(())
+            })
+        };
+        buckets.stream(&crew, &mut found, take).unwrap();
+        let mut found = found.concat();
+        found.sort_unstable();
+        assert_eq!(found, expected);
+        assert_eq!(buckets.repeated as usize, faces.len() - expected.len());
+        let far = |[a, b, c]: &&[u32; 3]| all_wide || b.max(c) - a > 65_535;
+        let bytes = 6 * (found.len() + found.iter().filter(far).count());
+        assert_eq!(scratch.bytes(), bytes as u64);
+    }
 }
