@@ -371,7 +371,6 @@ impl Run<'_> {
         let (totals, mut triples) = (sums.into_totals(), survivors.into_triples());
         if spill.is_none() {
             ranks = table.ranks();
-            table.keep_keys();
         }
         self.stats.surviving_faces = triples.len() as u64;
         let left = (self.options.raw_faces - triples.len()) * BYTES_PER_RAW_FACE;
