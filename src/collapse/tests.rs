@@ -543,18 +543,21 @@ fn off_cube(mesh: &IndexedMesh<f32>) -> f64 {
 }
 
 /// Thesis Fig. 6.18: by its own quadrics, the distance from a noisy cube's reductions to the cube without noise first falls.
+/// To 600 faces it does so whatever the noise; at 200 chance decides.
 #[test]
 fn noise_goes_before_shape() {
-    let mut scan = sphere(32, 0.0);
-    for (i, p) in scan.positions.iter_mut().enumerate() {
-        let on_cube = widen(*p) * (0.4 / widen(*p).abs().max_element());
-        let h = (i * 7919 % 1009) as f64 / 1009.0 - 0.5;
-        *p = narrow(on_cube * (1.0 + 0.02 * h));
-    }
     let accumulated = Policies { quadrics: Quadrics::Accumulated, ..Default::default() };
-    let off = |faces| off_cube(&reduce_by(&scan, faces, accumulated).mesh);
-    let (all, some, few) = (off_cube(&scan), off(2000), off(200));
-    assert!(some < all && few < 0.6 * all, "{all} of the scan, {some} at 2000 faces, {few} at 200");
+    for factor in [7919, 6007, 104_729, 611_953] {
+        let mut scan = sphere(32, 0.0);
+        for (i, p) in scan.positions.iter_mut().enumerate() {
+            let on_cube = widen(*p) * (0.4 / widen(*p).abs().max_element());
+            let h = (i * factor % 1009) as f64 / 1009.0 - 0.5;
+            *p = narrow(on_cube * (1.0 + 0.02 * h));
+        }
+        let off = |faces| off_cube(&reduce_by(&scan, faces, accumulated).mesh);
+        let (all, some, few) = (off_cube(&scan), off(2000), off(600));
+        assert!(some < all && few < 0.7 * all, "{all} of the scan, {some} at 2000 faces, {few} at 600");
+    }
 }
 
 #[test]
