@@ -9,6 +9,10 @@ fn off_rim([x, y, z]: [f64; 3], columns: f64, rows: f64) -> f64 {
     plane.max(z.abs())
 }
 
+/// Faces, and how far the border may be off then, in steps of the scan: between 4,000 faces edges are 8 steps long, between
+/// 300 they are 30. On sixteen other fields it was 0.35 steps off at 300 faces in the mean, 0.8 at most.
+const OFF: [(&str, f64); 3] = [("4000", 0.25), ("1000", 0.4), ("300", 1.0)];
+
 #[test]
 fn the_rim_of_a_field_is_the_rim_of_the_result() {
     let folder = Folder::new();
@@ -17,14 +21,14 @@ fn the_rim_of_a_field_is_the_rim_of_the_result() {
     for kind in [Kind::Floats, Kind::Stl] {
         let scan = folder.scan("scan", &mesh, kind);
         for (memory, mode) in [("512MiB", "in-core"), (TIGHT, "out-of-core")] {
-            for faces in ["4000", "1000", "300"] {
+            for (faces, most) in OFF {
                 let done = folder.reduce(&scan, &["--faces", faces, "--memory", memory]).done(mode);
                 let off = furthest(&done.mesh, f64::from(columns), f64::from(rows));
-                assert!(off < 0.5, "{kind:?} {mode} {faces}: the border is {off} of a step off");
+                assert!(off < most, "{kind:?} {mode} {faces}: the border is {off} of a step off");
                 let [low, high] = done.mesh.extent();
                 let expected = [0.0, 0.0, f64::from(columns), f64::from(rows)];
                 for (found, expected) in [low[0], low[1], high[0], high[1]].into_iter().zip(expected) {
-                    assert!((found - expected).abs() < 0.5, "{kind:?} {mode} {faces}: {low:?} {high:?}");
+                    assert!((found - expected).abs() < most, "{kind:?} {mode} {faces}: {low:?} {high:?}");
                 }
             }
         }
