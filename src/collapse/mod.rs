@@ -219,7 +219,7 @@ const LEARNT_WEIGHT: f64 = 0.5;
 
 /// Vertices that may move in a round of groups, those with the cheapest edges first, as a share. Without any limit rounds
 /// would thin a finely and a coarsely meshed part alike, and a scan of uneven density would lose its coarse part. Where
-/// groups are pairs 0.6 takes an eighth to a third longer than this, for half a percent of E_avg.
+/// groups are pairs 0.6 takes an eighth to a third longer than this, for one percent of E_avg.
 const GROUPS_SHARE: f64 = 0.9;
 
 /// From so many times the target on rounds go far: three fifths of all vertices at a time. Nearer, chains cost a fifth of
