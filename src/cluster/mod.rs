@@ -32,10 +32,10 @@
 //! | quadric 44, position 12 or 24 | | | 56, 68 |
 //! | **in all** | **47** | **81** | **141, 153** |
 //!
-//! beside 12 bytes for each of `raw_faces` (of which netting and borders are given what survivors leave) and, until placement, up to
-//! `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12 to 28 more a
-//! face, buckets in front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or overflowing sums need
-//! more than that is clustered again, coarser, or in more passes.
+//! beside 12 bytes for each of `raw_faces` (of which netting and borders are given what survivors leave) and, until
+//! placement, up to `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12
+//! to 28 more a face, buckets in front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or
+//! overflowing sums need more than that is clustered again, coarser, or in more passes.
 
 mod border;
 mod buckets;
