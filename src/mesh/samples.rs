@@ -105,8 +105,8 @@ impl Lattice {
         length * self.per_step
     }
 
-    /// The places of some points in the lattice's steps, by axis; all bits are set of those that have none. As wide as the vectors
-    /// of the function that this becomes a part of.
+    /// The places of some points in the lattice's steps, by axis; all bits are set of those that have none. As wide as the
+    /// vectors of the function that this becomes a part of.
     #[inline(always)]
     pub fn places<const N: usize>(&self, [x, y, z]: &[[f64; N]; 3]) -> [u64; N] {
         let mut places = [0; N];
