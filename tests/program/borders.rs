@@ -35,6 +35,19 @@ fn the_rim_of_a_field_is_the_rim_of_the_result() {
     }
 }
 
+/// One field's border may be off by chance; that of several, in the mean, is within half a step of the scan.
+#[test]
+fn rims_of_fields_are_near_in_the_mean() {
+    let folder = Folder::new();
+    let sizes = [(360, 200), (340, 220), (320, 240), (380, 180), (300, 260), (400, 170)];
+    let off = sizes.map(|(columns, rows)| {
+        let scan = folder.scan("scan", &field(columns, rows), Kind::Floats);
+        let done = folder.reduce(&scan, &["--faces", "300", "--memory", "512MiB"]).done("in-core");
+        furthest(&done.mesh, f64::from(columns), f64::from(rows))
+    });
+    assert!(off.iter().sum::<f64>() < 0.5 * off.len() as f64, "{off:?}");
+}
+
 fn furthest(mesh: &Mesh, columns: f64, rows: f64) -> f64 {
     let border = mesh.border();
     assert!(border.len() >= 4, "the result is open where the scan is");
