@@ -56,9 +56,9 @@ fn a_signal_ends_a_run_and_nothing_is_left() {
 #[test]
 fn what_a_killed_run_leaves_the_next_one_sweeps() {
     let folder = Folder::new();
-    let scan = folder.synth("scan.ply", "1M");
+    let scan = folder.synth("scan.ply", "4M");
     let mut child = start(&folder, &scan, &["--faces", "2000", "--memory", TIGHT]);
-    under_way(&folder, Duration::from_millis(100));
+    under_way(&folder, Duration::ZERO);
     child.kill().unwrap();
     child.wait().unwrap();
     let names = folder.names();
