@@ -142,12 +142,13 @@ pub struct TilePlan {
 }
 
 impl TilePlan {
-    /// What scratch holds at most, for a scan of so many faces and a result of so many, about: the scan cut up, what
-    /// the first sweep has left, and samples before and after the second.
+    /// What scratch holds at most, for a scan of so many faces and a result of so many, about: the scan cut up and what
+    /// the first sweep has left of it, with its samples, or those before and after another sweep.
     pub fn scratch_bytes<S: Coordinate>(&self, faces: u64, target: u64) -> u64 {
         let face = 3 * size_of::<[S; 3]>() as u64;
-        let meshes = face.saturating_mul(faces.saturating_add(3 * target));
-        meshes.saturating_add((tiles::sample_bytes::<S>() + SAMPLE_BYTES) as u64 * self.samples)
+        let samples = tiles::sample_bytes::<S>() as u64 * self.samples;
+        let scan = face.saturating_mul(faces);
+        scan.max(samples).saturating_add(samples).saturating_add(face.saturating_mul(3).saturating_mul(target))
     }
 }
 

@@ -5,7 +5,7 @@
 use super::place::{PULL, REACH};
 use super::policy::{Placement, Quadrics, Weighting};
 use super::rank::{LANES, columns};
-use super::surface::{Surface, at_most_refused};
+use super::surface::{LOCKED, Surface, at_most_refused};
 use super::{LEARNT_WEIGHT, Options};
 use crate::cores::InPieces;
 use crate::mesh::{Coordinate, step};
@@ -55,8 +55,13 @@ impl<S: Coordinate> Surface<S> {
         for (slot, (a, b)) in faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).enumerate() {
             if !self.answers_for(a, b) {
                 costs[slot] = f32::INFINITY;
-            } else if stale(self.mark(a) | self.mark(b)) {
-                match usual.then(|| self.sides(a, b)).flatten() {
+                continue;
+            }
+            let marks = self.mark(a) | self.mark(b);
+            if stale(marks) {
+                // A locked vertex stays: there is no place to look for.
+                let free = usual && marks & LOCKED == 0;
+                match free.then(|| self.sides(a, b)).flatten() {
                     None => costs[slot] = self.cost(&self.stars, a, b, options),
                     Some(faces) => {
                         edges[waiting] = Edge { ends: [a, b], faces, slot };
@@ -84,7 +89,6 @@ impl<S: Coordinate> Surface<S> {
             && policies.placement == Placement::Optimal
             && policies.features.is_none()
             && !policies.penalises()
-            && !options.locks()
             && !self.is_shaded()
             && !self.is_seamed()
             && !self.roots.is_empty()

@@ -102,6 +102,7 @@ impl<S: Coordinate> Tiled<S> {
             }
             wanted
         });
+        offers.shrink_to_fit();
         offers.sort_unstable_by_key(|offer| (offer.tile, offer.proposal.keeps));
         offers
     }
@@ -174,7 +175,8 @@ impl<S: Coordinate> Joined<S> {
         self.faces.write_all_at(bytemuck::cast_slice(&faces), self.faces.length())
     }
 
-    pub fn into_mesh(self) -> Result<IndexedMesh<S>> {
+    pub fn into_mesh(mut self) -> Result<IndexedMesh<S>> {
+        self.shared = FxHashMap::default();
         let mut positions: Vec<[S; 3]> = bytemuck::zeroed_vec(self.vertices as usize);
         let mut faces: Vec<[u32; 3]> = bytemuck::zeroed_vec((self.faces.length() / 12) as usize);
         self.positions.read_exact_at(bytemuck::cast_slice_mut(&mut positions), 0)?;

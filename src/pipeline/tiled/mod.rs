@@ -2,25 +2,23 @@
 //!
 //! 1. The scan is cut up.
 //! 2. A *pilot*, pieces from all over the scan in memory together, is collapsed by one cost after another until the
-//!    share of faces is
-//!    left that is wanted, and a little more: that cost is for all tiles. A quota for each would thin rough parts and flat
-//!    ones alike.
+//!    share of faces is left that is wanted, and a fifth more: that cost is for all tiles. A quota for each would thin
+//!    rough parts and flat ones alike.
 //! 3. A first sweep collapses every tile of the scan to that cost. Vertices at the cuts stay, as dense as they were.
-//!    Samples
-//!    of the scan go along, each near a vertex.
-//! 4. A second sweep, whose tiles are shifted by half, does the same to what is left, so that it thins what was cut
-//!    before, and
-//!    tells what it would collapse next.
+//!    Samples of the scan go along, each near a vertex.
+//! 4. The next sweep's tiles are shifted by half, so that it thins what was cut before. Some of them are *tried* first,
+//!    for the cost that leaves a little more than is asked for. That sweep tells what it would collapse next.
 //! 5. Of those collapses, none of which touches another, the cheapest are taken that bring the count to the one asked
-//!    for.
-//!    Each tile is refitted to its samples, and they are joined.
+//!    for. Each tile is refitted to its samples, and they are joined.
 //!
-//! Where the sweeps leave more than a tenth too much two others follow, to a higher cost: what is at the cuts of the
-//! last one, which the one before it has thinned to the same cost, is then hardly denser than the rest. Where one of
-//! these leaves too little, the one before it counts; where the first ones do, all is begun again, with a lower cost.
+//! So the scan is swept once and what is left of it once, whatever the scan is like. Where the pilot was so far off that
+//! the vertices at the last sweep's cuts would stand out, another sweep evens them; where it was so far off to the
+//! other side that too little is left, all is begun again, with what was learnt.
 
 mod kept;
 mod pilot;
+mod search;
+mod trial;
 
 use super::{Clock, Intermediate, Run, Source, read_crew};
 use crate::collapse::{self, Carried, Collapsed, Part, collapse};
@@ -33,20 +31,29 @@ use crate::progress::Stage;
 use crate::refit::{Aim, Held, refit};
 use crate::tiles::{self, Blocks, Cut, Lie, Partition, SampleStore};
 use kept::{Joined, Tiled, apply};
+use search::Search;
+use std::marker::PhantomData;
 use std::time::Instant;
+use trial::Found;
 
-/// How many times as many faces as are asked for the first sweeps are to leave. The pilot is within a tenth.
-const SPARE: f64 = 1.25;
-/// How many the last sweep is to leave, and at most: vertices at its cuts are as dense as it left them, and must not
-/// stand out.
+/// How many times as many faces as are asked for the first sweep is to leave, but for what is at its cuts. Of five
+/// scans the pilot was 2 % below to 6 % above.
+const SPARE: f64 = 1.2;
+/// How many times as many it has to leave: a little below one what is at the cuts is enough to make up for it.
+const LEAST_SPARE: f64 = 0.95;
+/// How many the last sweep is to leave, and at most, so that the last step does not choose among what costs far more.
 const SPARE_AT_END: f64 = 1.05;
-const NEAR_END: f64 = 1.1;
-/// The cost of a collapse goes with the cube of the area that a face stands for.
-const COST_POWER: f64 = 3.0;
+const NEAR_END: f64 = 1.12;
+/// How many times as dense as is asked for vertices at the last sweep's cuts may be: 1.14 times as close together.
+const MOST_AT_CUTS: f64 = 1.3;
 /// The share of a flat tile's faces that sweeps after the first leave: what was cut before is denser than that.
 const FLOOR_AGAIN: f64 = 0.95;
-/// Sweeps, and beginnings, at most.
-const MOST_SWEEPS: u32 = 12;
+/// Below this a cost is none.
+const LEAST_COST: f64 = f32::MIN_POSITIVE as f64;
+/// Beginnings, sweeps after one, and last sweeps, at most.
+const MOST_BEGINNINGS: u32 = 4;
+const MOST_SWEEPS: u32 = 8;
+const MOST_LAST_SWEEPS: u32 = 4;
 
 /// What was counted.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -71,8 +78,8 @@ struct Mill<'a, S> {
     frame: Frame,
     blocks: Blocks,
     lattice: Lattice,
-    scan: Partition<S>,
     cut: Cut,
+    scalar: PhantomData<S>,
 }
 
 /// What all tiles go by.
@@ -86,17 +93,37 @@ struct Threshold {
 }
 
 impl Threshold {
-    /// That of a sweep after the first, which finds tiles at their floor.
-    fn again(self) -> Self {
-        Threshold { floor: if self.floor > 0.0 { FLOOR_AGAIN } else { 0.0 }, ..self }
+    fn is_flat(self) -> bool {
+        self.floor > 0.0
     }
 
-    /// Another one, after this has left so many times as much as was wanted.
-    fn after(self, times: f64) -> Self {
-        match self.floor > 0.0 {
-            true => Threshold { floor: (self.floor / times.clamp(0.5, 1.5)).min(1.0), ..self },
-            false => Threshold { cost: self.cost * (times.powf(COST_POWER) as f32).max(1e-6), ..self },
+    /// That of a second sweep to the same, which finds tiles at their floor.
+    fn again(self) -> Self {
+        Threshold { floor: if self.is_flat() { FLOOR_AGAIN } else { 0.0 }, ..self }
+    }
+
+    /// The same for what has so many faces of which so many are asked for: there floors are other shares.
+    fn among(self, faces: u64, asked: u64) -> Self {
+        let floor = (SPARE_AT_END * asked as f64 / faces.max(1) as f64).min(1.0);
+        Threshold { floor: if self.is_flat() { floor } else { 0.0 }, ..self }
+    }
+
+    /// The stronger, the less is left.
+    fn strength(self) -> f64 {
+        if self.is_flat() { 1.0 / self.floor } else { f64::from(self.cost) }
+    }
+
+    /// Another one of so much.
+    fn of_strength(self, strength: f64) -> Self {
+        match self.is_flat() {
+            true => Threshold { floor: (1.0 / strength).min(1.0), ..self },
+            false => Threshold { cost: strength as f32, ..self },
         }
+    }
+
+    /// A search among such.
+    fn search(self) -> Search {
+        if self.is_flat() { Search::of_floor() } else { Search::of_cost() }
     }
 }
 
@@ -113,12 +140,12 @@ impl Run<'_> {
     /// Reduces in tiles, to the end.
     pub(super) fn tiled<S: Coordinate>(&self, asked: u64, plan: TilePlan) -> Result<Intermediate<S>> {
         let mut clock = Clock::new(Instant::now());
-        let mill = Mill::cut_up(self, asked, plan)?;
+        let (mill, scan) = Mill::cut_up(self, asked, plan)?;
         let cut_seconds = clock.lap();
         if mill.cut.faces == 0 {
             return Err(Error::input(self.scan.path(), "has no usable face: none has three distinct corners"));
         }
-        let tiled = mill.grind()?;
+        let tiled = mill.grind(scan)?;
         clock.lap();
         let stats = TileStats {
             tiles: tiled.tiles.len() as u64,
@@ -134,7 +161,7 @@ impl Run<'_> {
 }
 
 impl<'a, S: Coordinate> Mill<'a, S> {
-    fn cut_up(run: &'a Run<'a>, asked: u64, plan: TilePlan) -> Result<Self> {
+    fn cut_up(run: &'a Run<'a>, asked: u64, plan: TilePlan) -> Result<(Self, Partition<S>)> {
         let (scan, crew) = (run.scan, read_crew(&run.purse, run.progress));
         run.progress.begin(Stage::Read, 3 * scan.bytes());
         let extent = scan.extent(&crew)?;
@@ -149,46 +176,65 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let cutters = stream.faces(&crew, false, || partition.writer())?;
         let cut = Cut::sum(cutters.into_iter().map(|cutter| cutter.finish()).collect::<Result<Vec<_>>>()?);
         let lattice = Lattice::over(frame.place(extent.min), frame.place(extent.max));
-        Ok(Mill { run, plan, asked, frame, blocks, lattice, scan: partition, cut })
+        Ok((Mill { run, plan, asked, frame, blocks, lattice, cut, scalar: PhantomData }, partition))
     }
 
     /// All sweeps, until one more choice gives the count.
-    fn grind(&self) -> Result<Tiled<S>> {
+    fn grind(&self, scan: Partition<S>) -> Result<Tiled<S>> {
         self.run.progress.begin(Stage::Collapse, self.cut.faces.saturating_sub(self.asked));
-        let mut threshold = self.pilot()?;
-        let mut between = self.first_sweep(threshold)?;
+        let (mut between, mut found) = self.begin(&scan)?;
+        drop(scan);
         let mut lie = Lie::Shifted;
-        let mut before: Option<Tiled<S>> = None;
-        // Whether the last two sweeps went to the same cost, so that what is at the cuts of one was thinned by the other.
-        let mut is_even = true;
         for _ in 0..MOST_SWEEPS {
-            let tiled = self.sweep(between, threshold.again(), lie)?;
-            let times = |spare: f64| tiled.faces as f64 / (spare * self.asked as f64);
+            let is_flat = found.threshold.is_flat();
+            if is_flat || found.before <= MOST_AT_CUTS && found.leaves <= NEAR_END {
+                return self.end(&between, lie, found);
+            }
+            between = self.sweep(&between, lie, found.threshold)?;
+            lie = lie.other();
+            found = self.trial(&between, lie, found.threshold, &found.search)?;
+        }
+        Err(self.unmet())
+    }
+
+    /// The first sweep, and what the next one is to be: all again where it has left too little.
+    fn begin(&self, scan: &Partition<S>) -> Result<(Between<S>, Found)> {
+        let (mut threshold, mut search) = self.pilot(scan)?;
+        for _ in 0..MOST_BEGINNINGS {
+            let between = self.first_sweep(scan, threshold)?;
+            let found = self.trial(&between, Lie::Shifted, threshold, &search)?;
+            let times = between.faces as f64 / self.asked as f64;
+            let without_cuts = if threshold.is_flat() { times } else { found.before };
+            if times >= SPARE_AT_END && without_cuts >= LEAST_SPARE {
+                return Ok((between, found));
+            }
+            search = search.anew();
+            search.tried(threshold.strength(), without_cuts / SPARE);
+            threshold = threshold.of_strength(search.next());
+        }
+        Err(self.unmet())
+    }
+
+    /// The last sweep: again, by what it has left, where that was not enough, or too much for the last step.
+    fn end(&self, between: &Between<S>, lie: Lie, found: Found) -> Result<Tiled<S>> {
+        let Found { mut threshold, mut search, .. } = found;
+        for turn in 1..=MOST_LAST_SWEEPS {
+            let tiled = self.last_sweep(between, lie, threshold)?;
             let is_within_reach = tiled.faces.saturating_sub(tiled.removable()) <= self.asked;
-            let is_flat = threshold.floor > 0.0;
-            if let Some(before) = before.filter(|_| tiled.faces < self.asked) {
-                return Ok(before);
-            }
-            if tiled.faces < self.asked || is_flat && !is_within_reach {
-                threshold = threshold.after(times(SPARE));
-                between = self.first_sweep(threshold)?;
-                (lie, is_even, before) = (Lie::Shifted, true, None);
-                continue;
-            }
-            let is_near = is_within_reach && (is_flat || times(NEAR_END) <= 1.0);
-            if is_near && is_even {
+            let times = tiled.faces as f64 / self.asked as f64;
+            let is_near = times <= NEAR_END || threshold.is_flat() || turn == MOST_LAST_SWEEPS;
+            if tiled.faces >= self.asked && is_within_reach && is_near {
                 return Ok(tiled);
             }
-            is_even = is_near;
-            if !is_near {
-                threshold = threshold.after(times(SPARE_AT_END).max(1.05));
-            }
-            between = self.put_back(&tiled)?;
-            lie = lie.other();
-            before = Some(tiled).filter(|_| is_within_reach);
+            search.tried(threshold.strength(), times / SPARE_AT_END);
+            threshold = threshold.of_strength(search.next());
         }
+        Err(self.unmet())
+    }
+
+    fn unmet(&self) -> Error {
         let what = format!("{} faces cannot be reached in tiles", self.asked);
-        Err(Error::Unmet { file: self.run.job.input.clone(), what })
+        Error::Unmet { file: self.run.job.input.clone(), what }
     }
 
     /// Collapses a part of a mesh of `whole` faces.
@@ -212,26 +258,38 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// Collapses the tiles of the scan.
-    fn first_sweep(&self, threshold: Threshold) -> Result<Between<S>> {
+    fn first_sweep(&self, scan: &Partition<S>, threshold: Threshold) -> Result<Between<S>> {
         let mut between = self.nothing_between()?;
         let rate = self.plan.samples as f64 / self.cut.area().max(f64::MIN_POSITIVE);
         let lie = Lie::Straight;
-        for (tile, place) in self.scan.tiles(lie) {
+        for (tile, place) in scan.tiles(lie) {
             if place.faces() > self.plan.faces {
                 let path = self.run.scan.path().display();
                 let what = format!("{path}: a tile has {} faces, more than fit this budget", place.faces());
                 return Err(Error::Budget { what, needed_bytes: self.run.purse.in_core_budget::<S>(self.run.scan) });
             }
-            let tiles::Tile { mesh, locked, .. } = self.scan.load(lie, tile, &place)?;
-            let mut samples = tiles::draw(&mesh, &self.lattice, rate);
-            let homes = samples.iter().map(|sample| sample.near).collect();
-            let collapsed = self.part(mesh, (locked, homes), self.cut.faces, threshold, false)?;
-            follow(&mut samples, &collapsed.homes);
-            self.run.progress.add(place.faces() - collapsed.mesh.faces.len() as u64);
-            between.error = between.error.max(collapsed.error_estimate);
-            between.add(&self.blocks, &collapsed.mesh, &samples)?;
+            let loaded = scan.load(lie, tile, &place)?;
+            let samples = tiles::draw(&loaded.mesh, &self.lattice, rate);
+            let (collapsed, samples) = self.tile(loaded, samples, self.cut.faces, threshold, false)?;
+            between.add(&self.blocks, &collapsed, &samples)?;
         }
         Ok(between)
+    }
+
+    /// Collapses the tiles of what another sweep has left.
+    fn sweep(&self, between: &Between<S>, lie: Lie, threshold: Threshold) -> Result<Between<S>> {
+        let mut next = self.nothing_between()?;
+        self.each(between, lie, threshold, false, |collapsed, samples| next.add(&self.blocks, &collapsed, &samples))?;
+        next.error += between.error;
+        Ok(next)
+    }
+
+    /// The same, and asks what would be next.
+    fn last_sweep(&self, between: &Between<S>, lie: Lie, threshold: Threshold) -> Result<Tiled<S>> {
+        let mut tiled = Tiled::new(&self.run.scratch)?;
+        self.each(between, lie, threshold, true, |collapsed, samples| tiled.keep(collapsed, &samples))?;
+        tiled.error += between.error;
+        Ok(tiled)
     }
 
     fn nothing_between(&self) -> Result<Between<S>> {
@@ -240,32 +298,42 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         Ok(Between { mesh: Partition::new(self.blocks, bytes, &self.run.scratch)?, samples, faces: 0, error: 0.0 })
     }
 
-    /// Collapses the tiles of what another sweep has left, and asks what would be next.
-    fn sweep(&self, between: Between<S>, threshold: Threshold, lie: Lie) -> Result<Tiled<S>> {
-        let mut tiled = Tiled::new(&self.run.scratch)?;
+    /// Gives every tile of what a sweep has left, collapsed, to `take`.
+    fn each(
+        &self,
+        between: &Between<S>,
+        lie: Lie,
+        threshold: Threshold,
+        proposes: bool,
+        mut take: impl FnMut(Collapsed<S>, Vec<SurfaceSample>) -> Result<()>,
+    ) -> Result<()> {
         let samples_of = between.samples.tiles(lie);
         for (tile, place) in between.mesh.tiles(lie) {
             let loaded = between.mesh.load(lie, tile, &place)?;
-            let mut samples = between.samples.load(samples_of.of(tile), &loaded)?;
-            let homes = samples.iter().map(|sample| sample.near).collect();
-            let tiles::Tile { mesh, locked, .. } = loaded;
-            let collapsed = self.part(mesh, (locked, homes), between.faces, threshold, true)?;
-            follow(&mut samples, &collapsed.homes);
-            self.run.progress.add(place.faces() - collapsed.mesh.faces.len() as u64);
-            tiled.keep(collapsed, &samples)?;
+            let samples = between.samples.load(samples_of.of(tile), &loaded)?;
+            let (collapsed, samples) = self.tile(loaded, samples, between.faces, threshold, proposes)?;
+            take(collapsed, samples)?;
         }
-        tiled.error += between.error;
-        Ok(tiled)
+        Ok(())
     }
 
-    /// Cuts up again what a sweep has left, for another one.
-    fn put_back(&self, tiled: &Tiled<S>) -> Result<Between<S>> {
-        let mut between = Between { error: tiled.error, ..self.nothing_between()? };
-        for kept in &tiled.tiles {
-            let (mesh, _, samples) = tiled.load(kept)?;
-            between.add(&self.blocks, &mesh, &samples)?;
-        }
-        Ok(between)
+    /// Collapses a tile of a mesh of `whole` faces; samples go where their vertices go.
+    fn tile(
+        &self,
+        tile: tiles::Tile<S>,
+        mut samples: Vec<SurfaceSample>,
+        whole: u64,
+        threshold: Threshold,
+        proposes: bool,
+    ) -> Result<(Collapsed<S>, Vec<SurfaceSample>)> {
+        let tiles::Tile { mesh, locked, .. } = tile;
+        let before = mesh.faces.len();
+        let homes = samples.iter().map(|sample| sample.near).collect();
+        let collapsed = self.part(mesh, (locked, homes), whole, threshold, proposes)?;
+        samples.iter_mut().zip(&collapsed.homes).for_each(|(sample, home)| sample.near = *home);
+        samples.retain(|sample| sample.near != u32::MAX);
+        self.run.progress.add((before - collapsed.mesh.faces.len()) as u64);
+        Ok((collapsed, samples))
     }
 
     /// Does the cheapest of what is left to do, refits, and joins the tiles.
@@ -289,20 +357,15 @@ impl<'a, S: Coordinate> Mill<'a, S> {
             joined.add(&mesh, &locked)?;
             self.run.progress.add(1);
         }
-        drop(tiled);
+        drop((tiled, chosen));
         joined.into_mesh()
     }
 }
 
 impl<S: Coordinate> Between<S> {
-    fn add(&mut self, blocks: &Blocks, mesh: &IndexedMesh<S>, samples: &[SurfaceSample]) -> Result<()> {
-        self.faces += self.mesh.add(mesh)?.faces;
-        self.samples.add(blocks, mesh, samples)
+    fn add(&mut self, blocks: &Blocks, collapsed: &Collapsed<S>, samples: &[SurfaceSample]) -> Result<()> {
+        self.error = self.error.max(collapsed.error_estimate);
+        self.faces += self.mesh.add(&collapsed.mesh)?.faces;
+        self.samples.add(blocks, &collapsed.mesh, samples)
     }
-}
-
-/// Samples go where their vertices went.
-fn follow(samples: &mut Vec<SurfaceSample>, homes: &[u32]) {
-    samples.iter_mut().zip(homes).for_each(|(sample, home)| sample.near = *home);
-    samples.retain(|sample| sample.near != u32::MAX);
 }
