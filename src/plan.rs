@@ -76,10 +76,10 @@ fn without_margin(bytes: u64) -> u64 {
 /// What the lists of the collapse's rounds take, for each vertex that came in; they are gone when the last steps begin.
 const ROUND_BYTES: u64 = 24;
 
-/// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too.
-/// Eight a face in place of 34 cost a tenth of E_avg.
+/// What samples of the scan may take of scratch, for each of its vertices, and what where these are on scratch, too, so
+/// that both together take 8. Eight a face in place of 34 cost a tenth of E_avg.
 const SAMPLE_SCRATCH_BYTES: f64 = 7.0;
-const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 2.5;
+const SAMPLE_SCRATCH_BESIDE_BYTES: f64 = 1.4;
 /// Scratch that no scan is too small for.
 const LEAST_SAMPLE_SCRATCH_BYTES: u64 = 64 * MIB;
 /// Where cells are coarser than the intermediate mesh that is aimed at asks for, samples make up for some of it: as

@@ -8,7 +8,7 @@
 use super::buckets::{self, Buckets};
 use super::grid::{Corner, Grid, cell_key, place_in_cell};
 use super::join;
-use super::spill::{PageCache, Spill, SpillFile};
+use super::spill::{Packer, PageCache, Spill, SpillFile};
 use super::table::{CellTable, LastBlock, block_key, place_in_block};
 use super::used::{MARKER_BYTES, Marker, Used};
 use crate::error::Result;
@@ -140,9 +140,10 @@ pub(super) fn bin_vertices(
     crew: &Crew,
     (grid, table): (&Grid, &CellTable),
     coherent: bool,
-    spill: &Spill,
+    spill: &mut Spill,
 ) -> Result<()> {
-    scan.vertices(crew, Vec::new, |corners: &mut Vec<Corner>, chunk| {
+    let open = &*spill;
+    scan.vertices(crew, Binned::new, |Binned { corners, packer }, chunk| {
         if table.is_full() {
             return Ok(());
         }
@@ -157,9 +158,22 @@ pub(super) fn bin_vertices(
                 None => corners.extend(positions.iter().map(|p| bin(grid, table, *p, &mut last).unwrap_or_default())),
             }
         }
-        spill.write(chunk.first, corners)
+        open.write(chunk.first, corners, packer)
     })?;
+    spill.close();
     Ok(())
+}
+
+/// A worker's vertices on their way to the spill.
+struct Binned {
+    corners: Vec<Corner>,
+    packer: Packer,
+}
+
+impl Binned {
+    fn new() -> Self {
+        Binned { corners: Vec::new(), packer: Packer::new() }
+    }
 }
 
 /// Bins a position; `None` if its cell is refused.

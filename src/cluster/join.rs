@@ -106,7 +106,7 @@ fn load(spill: &SpillFile, first: u64, corners: &mut [Corner], workers: usize) -
             .map(|(i, part)| {
                 scope.spawn(move || {
                     cores::keep(i, workers);
-                    spill.read(first + (i * share) as u64, part)
+                    spill.read(first + (i * share) as u64, part, &mut Vec::new())
                 })
             })
             .collect();

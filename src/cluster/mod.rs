@@ -33,7 +33,8 @@
 //! | **in all** | **47** | **81** | **141, 153** |
 //!
 //! beside 12 bytes for each of `raw_faces` (of which netting and borders are given what survivors leave) and, until
-//! placement, up to `spill_resident_bytes`. A spill that does not fit takes 8 bytes a vertex of scratch; a join takes 12
+//! placement, up to `spill_resident_bytes`. A spill that does not fit takes 6.5 bytes a vertex of scratch where vertices
+//! are in a sensible order, 9 where they are shuffled (`spill.rs`); a join takes 12
 //! to 28 more a face, buckets in front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or
 //! overflowing sums need more than that is clustered again, coarser, or in more passes.
 
@@ -311,8 +312,8 @@ impl Run<'_> {
         let (mut spill, mut ranks) = (None, Vec::new());
         let mut cells = sizing.occupied(grid.cell).max(1.0);
         if self.scan.layout() == Layout::Indexed {
-            let s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
-            corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.order != Order::Shuffled, &s)?;
+            let mut s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
+            corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.order != Order::Shuffled, &mut s)?;
             if table.is_full() {
                 drop((table, s));
                 return self.overflowed(&grid, sizing);

@@ -1,20 +1,34 @@
-//! Binned vertices, 8 bytes each: in memory when they fit, in a scratch file when they do not.
+//! Binned vertices: in memory, 8 bytes each, when they fit; packed in a scratch file when they do not.
+//!
+//! **Packed.** Vertices that follow one another share cells: each 512 of them, a *strip*, keep a list of their cells,
+//! and a vertex its place in the cell (39 bits) and in that list (9 bits), 6 bytes. The list is written as differences,
+//! a byte to four for a cell: a third of a byte a vertex where vertices are in a sensible order, 3 where they are
+//! shuffled. Workers write as many vertices as they bin at once, a *lot*, wherever the file ends; lots are found by
+//! their first vertex, strips by a list at the beginning of the lot.
 //!
 //! The file is read with positioned reads only: pages of it that the system keeps in memory are the system's, not
-//! ours, so the resident set stays what the arithmetic says.
+//! ours, so the resident set stays what the arithmetic says. 16 bytes a lot stay in memory: one for 16,384 vertices.
 
-use super::grid::Corner;
+use super::grid::{Corner, LOCAL_BITS};
 use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Mutex, PoisonError};
+
+/// Vertices of a strip.
+const STRIP: usize = 512;
+/// Bytes of a vertex in a strip.
+const RECORD: usize = 6;
+/// Bits of a place in the cell.
+const PLACE_BITS: u32 = 3 * LOCAL_BITS;
 
 /// Vertices a page of a [`PageCache`] holds.
 const PAGE: usize = 512;
 /// Pages that a [`PageCache`] holds, a power of two.
 const PAGES: usize = 512;
 
-/// Bytes of a [`PageCache`].
-pub(super) const PAGE_CACHE_BYTES: usize = PAGES * PAGE * 8;
+/// Bytes of a [`PageCache`]: a page may lie in two strips, or where lots meet in three.
+pub(super) const PAGE_CACHE_BYTES: usize = PAGES * (PAGE * 8 + 4) + 3 * STRIP * (RECORD + 4);
 
 /// One [`Corner`] a vertex.
 pub(super) enum Spill {
@@ -28,6 +42,18 @@ pub(super) enum Spill {
 pub(super) struct SpillFile {
     file: ScratchFile,
     vertices: u64,
+    end: AtomicU64,
+    /// As they are written.
+    fresh: Mutex<Vec<Lot>>,
+    /// In order, once all are written.
+    lots: Vec<Lot>,
+}
+
+/// Consecutive vertices that were written at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Lot {
+    first: u64,
+    offset: u64,
 }
 
 impl Spill {
@@ -41,11 +67,12 @@ impl Spill {
         if Spill::is_resident(vertices, resident_bytes) {
             return Ok(Spill::Resident(bytemuck::zeroed_vec(vertices as usize)));
         }
-        Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices }))
+        let (end, fresh) = (AtomicU64::new(0), Mutex::default());
+        Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices, end, fresh, lots: Vec::new() }))
     }
 
     /// Stores the corners of consecutive vertices.
-    pub(super) fn write(&self, first: u64, corners: &[Corner]) -> Result<()> {
+    pub(super) fn write(&self, first: u64, corners: &[Corner], packer: &mut Packer) -> Result<()> {
         match self {
             Spill::Resident(all) => {
                 for (to, corner) in all[first as usize..].iter().zip(corners) {
@@ -53,7 +80,15 @@ impl Spill {
                 }
                 Ok(())
             }
-            Spill::Filed(spill) => spill.file.write_all_at(bytemuck::cast_slice(corners), first * 8),
+            Spill::Filed(spill) => spill.write(first, corners, packer),
+        }
+    }
+
+    /// All are written; now they can be read.
+    pub(super) fn close(&mut self) {
+        if let Spill::Filed(spill) = self {
+            spill.lots = std::mem::take(spill.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
+            spill.lots.sort_unstable();
         }
     }
 }
@@ -64,9 +99,179 @@ impl SpillFile {
         self.vertices
     }
 
-    /// Reads the corners of consecutive vertices.
-    pub(super) fn read(&self, first: u64, corners: &mut [Corner]) -> Result<()> {
-        self.file.read_exact_at(bytemuck::cast_slice_mut(corners), first * 8)
+    fn write(&self, first: u64, corners: &[Corner], packer: &mut Packer) -> Result<()> {
+        if corners.is_empty() {
+            return Ok(());
+        }
+        let bytes = packer.pack(corners);
+        let offset = self.end.fetch_add(bytes.len() as u64, Relaxed);
+        self.file.write_all_at(bytes, offset)?;
+        self.fresh.lock().unwrap_or_else(PoisonError::into_inner).push(Lot { first, offset });
+        Ok(())
+    }
+
+    /// Reads the corners of consecutive vertices, by way of `bytes`: at most those of a lot at a time.
+    pub(super) fn read(&self, first: u64, mut corners: &mut [Corner], bytes: &mut Vec<u8>) -> Result<()> {
+        let mut next = self.lots.partition_point(|lot| lot.first <= first);
+        let mut at = first;
+        while !corners.is_empty() {
+            let lot = self.lots[next - 1];
+            let end = self.lots.get(next).map_or(self.vertices, |lot| lot.first).min(at + corners.len() as u64);
+            let now;
+            (now, corners) = corners.split_at_mut((end - at) as usize);
+            self.read_of_lot(lot.offset, (at - lot.first) as usize, now, bytes)?;
+            (at, next) = (end, next + 1);
+        }
+        Ok(())
+    }
+
+    /// Those of the lot at `offset`, from its vertex `first` on.
+    fn read_of_lot(&self, offset: u64, first: usize, corners: &mut [Corner], bytes: &mut Vec<u8>) -> Result<()> {
+        let strips = first / STRIP..(first + corners.len()).div_ceil(STRIP);
+        let mut starts: Vec<u32> = vec![0; strips.len() + 1];
+        self.file.read_exact_at(bytemuck::cast_slice_mut(&mut starts), offset + 4 * strips.start as u64)?;
+        let (begin, end) = (starts[0], starts[strips.len()]);
+        bytes.clear();
+        bytes.resize((end - begin) as usize, 0);
+        self.file.read_exact_at(bytes, offset + u64::from(begin))?;
+        // The last record is read in one word, as all are.
+        bytes.extend([0; 2]);
+        let (mut left, mut from) = (corners, first % STRIP);
+        for start in &starts[..strips.len()] {
+            let now;
+            (now, left) = left.split_at_mut(left.len().min(STRIP - from));
+            unpack(&bytes[(start - begin) as usize..], from, now);
+            from = 0;
+        }
+        Ok(())
+    }
+}
+
+/// Packs corners of vertices that follow one another; one a worker.
+pub(super) struct Packer {
+    bytes: Vec<u8>,
+    /// Cells of the strip, found by their low bits or from there on.
+    slots: Vec<Slot>,
+    strips: u32,
+    cells: Vec<u32>,
+}
+
+/// A cell's place in the list of the strip that it was last in.
+#[derive(Debug, Clone, Copy, Default)]
+struct Slot {
+    strip: u32,
+    cell: u32,
+    place: u32,
+}
+
+/// Twice as many as a strip has vertices, a power of two.
+const SLOTS: usize = 2 * STRIP;
+
+impl Packer {
+    pub(super) fn new() -> Self {
+        let slots = vec![Slot::default(); SLOTS];
+        Packer { bytes: Vec::new(), slots, strips: 0, cells: Vec::with_capacity(STRIP) }
+    }
+
+    /// A lot: where its strips start and where it ends, then the strips.
+    fn pack(&mut self, corners: &[Corner]) -> &[u8] {
+        let count = corners.len().div_ceil(STRIP);
+        self.bytes.clear();
+        self.bytes.resize(4 * (count + 1), 0);
+        for (i, strip) in corners.chunks(STRIP).enumerate() {
+            self.mark_start(i);
+            self.pack_strip(strip);
+        }
+        self.mark_start(count);
+        &self.bytes
+    }
+
+    fn mark_start(&mut self, strip: usize) {
+        let start = self.bytes.len() as u32;
+        self.bytes[4 * strip..][..4].copy_from_slice(&start.to_ne_bytes());
+    }
+
+    /// How many cells there are, their numbers, and the vertices.
+    fn pack_strip(&mut self, corners: &[Corner]) {
+        // Slots of strips before are worth nothing, whatever they hold.
+        self.strips += 1;
+        self.cells.clear();
+        let mut words = [0u64; STRIP];
+        let (mut last, mut place) = (u32::MAX, 0);
+        for (word, corner) in words.iter_mut().zip(corners) {
+            let cell = corner.cell();
+            if cell != last {
+                (last, place) = (cell, self.place(cell));
+            }
+            *word = corner.0 & ((1 << PLACE_BITS) - 1) | u64::from(place) << PLACE_BITS;
+        }
+        self.bytes.extend((self.cells.len() as u16).to_ne_bytes());
+        let mut before = 0;
+        for &cell in &self.cells {
+            // Up and down alternate, so that what is near zero is small; seven bits a byte, the highest says whether more
+            // follow.
+            let difference = cell.wrapping_sub(before) as i32;
+            let mut rest = (difference << 1 ^ difference >> 31) as u32;
+            before = cell;
+            while rest >= 0x80 {
+                self.bytes.push(rest as u8 | 0x80);
+                rest >>= 7;
+            }
+            self.bytes.push(rest as u8);
+        }
+        let first = self.bytes.len();
+        self.bytes.resize(first + RECORD * corners.len() + 2, 0);
+        for (word, at) in words[..corners.len()].iter().zip((first..).step_by(RECORD)) {
+            self.bytes[at..at + 8].copy_from_slice(&word.to_le_bytes());
+        }
+        self.bytes.truncate(first + RECORD * corners.len());
+    }
+
+    /// The place of a cell in the strip's list.
+    fn place(&mut self, cell: u32) -> u32 {
+        let mut at = cell as usize % SLOTS;
+        loop {
+            let slot = &mut self.slots[at];
+            if slot.strip != self.strips {
+                let place = self.cells.len() as u32;
+                *slot = Slot { strip: self.strips, cell, place };
+                self.cells.push(cell);
+                return place;
+            }
+            if slot.cell == cell {
+                return slot.place;
+            }
+            at = (at + 1) % SLOTS;
+        }
+    }
+}
+
+/// Corners of a strip's vertices, from `first` on; behind the strip there are two bytes at least.
+fn unpack(strip: &[u8], first: usize, corners: &mut [Corner]) {
+    let mut cells = [0u64; STRIP];
+    let count = usize::from(u16::from_ne_bytes([strip[0], strip[1]]));
+    let (mut at, mut cell) = (2, 0u32);
+    for known in &mut cells[..count] {
+        let (mut rest, mut shift) = (0u32, 0);
+        loop {
+            let byte = strip[at];
+            at += 1;
+            rest |= u32::from(byte & 0x7f) << shift;
+            shift += 7;
+            if byte < 0x80 {
+                break;
+            }
+        }
+        cell = cell.wrapping_add(rest >> 1 ^ (rest & 1).wrapping_neg());
+        *known = u64::from(cell) << PLACE_BITS;
+    }
+    let records = &strip[at + RECORD * first..];
+    for (corner, at) in corners.iter_mut().zip((0..).step_by(RECORD)) {
+        let mut bytes = [0; 8];
+        bytes.copy_from_slice(&records[at..at + 8]);
+        let word = u64::from_le_bytes(bytes);
+        let place = (word >> PLACE_BITS) as usize % STRIP;
+        *corner = Corner(cells[place] | word & ((1 << PLACE_BITS) - 1));
     }
 }
 
@@ -77,11 +282,12 @@ pub(super) struct PageCache<'a> {
     pages: Vec<Corner>,
     /// The number of each held page; one that no vertex has for none.
     held: Vec<u32>,
+    bytes: Vec<u8>,
 }
 
 impl<'a> PageCache<'a> {
     pub(super) fn new(spill: &'a SpillFile) -> Self {
-        PageCache { spill, pages: bytemuck::zeroed_vec(PAGES * PAGE), held: vec![u32::MAX; PAGES] }
+        PageCache { spill, pages: bytemuck::zeroed_vec(PAGES * PAGE), held: vec![u32::MAX; PAGES], bytes: Vec::new() }
     }
 
     /// The corner of a vertex.
@@ -100,8 +306,77 @@ impl<'a> PageCache<'a> {
         self.held[slot] = u32::MAX;
         let first = u64::from(page) * PAGE as u64;
         let count = (self.spill.vertices() - first).min(PAGE as u64) as usize;
-        self.spill.read(first, &mut self.pages[slot * PAGE..][..count])?;
+        self.spill.read(first, &mut self.pages[slot * PAGE..][..count], &mut self.bytes)?;
         self.held[slot] = page;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Vertices as a scan of rows has them, six to a cell, with some that are nowhere.
+    fn rows(n: usize) -> Vec<Corner> {
+        let corner = |v: usize| {
+            let (x, y) = (v % 1000, v / 1000);
+            let place = (v as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - PLACE_BITS);
+            let cell = 5000 + (x / 6 + 167 * (y / 6)) as u32;
+            if v % 997 == 3 { Corner::NOWHERE } else { Corner::at(cell, place) }
+        };
+        (0..n).map(corner).collect()
+    }
+
+    /// Writes lots of all lengths, last lots first.
+    fn filed(corners: &[Corner], folder: &std::path::Path) -> SpillFile {
+        let mut spill = Spill::new(corners.len() as u64, 0, &Scratch::in_folder(folder)).unwrap();
+        let mut packer = Packer::new();
+        let mut lots = Vec::new();
+        let (mut first, mut length) = (0, 1);
+        while first < corners.len() {
+            let end = (first + length).min(corners.len());
+            lots.push(first..end);
+            (first, length) = (end, length * 7 % 16_385 + 1);
+        }
+        for lot in lots.into_iter().rev() {
+            spill.write(lot.start as u64, &corners[lot], &mut packer).unwrap();
+        }
+        spill.close();
+        match spill {
+            Spill::Filed(file) => file,
+            Spill::Resident(_) => panic!("it was to be on scratch"),
+        }
+    }
+
+    #[test]
+    fn what_is_read_is_what_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut shuffled = rows(100_000);
+        (0..shuffled.len()).for_each(|i| shuffled.swap(i, i.wrapping_mul(7919) % 100_000));
+        shuffled[17] = Corner::at(0, 0);
+        shuffled[18] = Corner::at((1 << 25) - 2, (1 << PLACE_BITS) - 1);
+        for corners in [rows(100_000), shuffled, rows(1)] {
+            let file = filed(&corners, folder.path());
+            let mut bytes = Vec::new();
+            for (first, count) in [(0, corners.len()), (3, 1), (511, 2), (777, 1024), (16_000, 50_001), (99_999, 1)] {
+                let Some(expected) = corners.get(first..first + count) else { continue };
+                let mut read = vec![Corner::default(); count];
+                file.read(first as u64, &mut read, &mut bytes).unwrap();
+                assert!(read == expected, "{count} from {first}");
+            }
+            let mut pages = PageCache::new(&file);
+            for v in (0..corners.len()).step_by(61).chain([corners.len() - 1]) {
+                assert_eq!(pages.get(v as u32).unwrap(), corners[v], "{v}");
+            }
+        }
+    }
+
+    #[test]
+    fn vertices_in_order_take_six_bytes_and_a_half() {
+        let folder = tempfile::tempdir().unwrap();
+        let corners = rows(400_000);
+        let file = filed(&corners, folder.path());
+        let bytes = file.end.load(Relaxed) as f64 / corners.len() as f64;
+        assert!((6.0..6.5).contains(&bytes), "{bytes}");
     }
 }

@@ -232,7 +232,7 @@ fn threads_order_and_memory_do_not_change_a_bit() {
         assert!(same(&ordered.cluster(workers, &OPTIONS).unwrap(), &resident), "{workers} workers");
     }
     let paged = ordered.cluster(2, &tight).unwrap();
-    assert_eq!(paged.stats.scratch_bytes, 8 * 60_000);
+    assert!((6 * 60_000..6 * 60_000 + 30_000).contains(&paged.stats.scratch_bytes), "{}", paged.stats.scratch_bytes);
     assert!((paged.mesh, paged.quadrics) == (resident.mesh, resident.quadrics), "paged");
 
     // The sample of shuffled faces is another, and so are the cells: it is compared with itself. It has a hole, so that

@@ -7,7 +7,7 @@ use crate::mesh::Coordinate;
 use crate::tiles::{Lie, Place};
 
 /// The share of a sweep's tiles that it is tried on, one in so many, and the fewest, where there are as many. What they
-/// leave of their faces is what all leave of theirs to 2 %.
+/// leave of their faces is what all leave of theirs to 1 %.
 const ONE_IN: usize = 12;
 const LEAST_TILES: usize = 12;
 /// How near to what is wanted a trial is to come.
@@ -40,26 +40,25 @@ impl<S: Coordinate> Mill<'_, S> {
             for (tile, place) in &some {
                 self.run.progress.check()?;
                 let loaded = between.mesh.load(lie, *tile, place)?;
-                let homes = Vec::new();
-                left +=
-                    self.part(loaded.mesh, (loaded.locked, homes), between.faces, threshold, false)?.mesh.faces.len();
+                let held = (loaded.locked, Vec::new());
+                left += self.part(loaded.mesh, held, between.faces, threshold, false)?.mesh.faces.len();
             }
             Ok(left as f64 / asked)
         };
-        let mut search = learnt.anew();
-        let mut found = None;
-        let mut threshold = last.among(between.faces, self.asked);
-        for _ in 0..TURNS {
-            let leaves = leaves(threshold)?;
-            let before = found.as_ref().map_or(leaves, |found: &Found| found.before);
-            let times = leaves / SPARE_AT_END;
-            search.tried(threshold.strength(), times);
-            found = Some(Found { threshold, leaves, before, search: search.clone() });
-            if (times - 1.0).abs() < NEAR_ENOUGH {
+        let threshold = last.among(between.faces, self.asked);
+        let mut found = Found { threshold, leaves: 0.0, before: 0.0, search: learnt.anew() };
+        for turn in 0..TURNS {
+            found.leaves = leaves(found.threshold)?;
+            if turn == 0 {
+                found.before = found.leaves;
+            }
+            let times = found.leaves / SPARE_AT_END;
+            found.search.tried(found.threshold.strength(), times);
+            if (times - 1.0).abs() < NEAR_ENOUGH || turn + 1 == TURNS {
                 break;
             }
-            threshold = threshold.of_strength(search.next());
+            found.threshold = found.threshold.of_strength(found.search.next());
         }
-        Ok(found.expect("there is a first trial"))
+        Ok(found)
     }
 }
