@@ -186,13 +186,17 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         drop(scan);
         let mut lie = Lie::Shifted;
         for _ in 0..MOST_SWEEPS {
-            let is_flat = found.threshold.is_flat();
-            if is_flat || found.before <= MOST_AT_CUTS && found.leaves <= NEAR_END {
+            if found.is_last {
                 return self.end(&between, lie, found);
             }
-            between = self.sweep(&between, lie, found.threshold)?;
-            lie = lie.other();
-            found = self.trial(&between, lie, found.threshold, &found.search)?;
+            let next = self.sweep(&between, lie, found.threshold)?;
+            let times = self.times(next.faces);
+            if times < SPARE_AT_END {
+                found.correct(times);
+                continue;
+            }
+            (between, lie) = (next, lie.other());
+            found = self.trial(&between, lie, found.threshold, found.learnt())?;
         }
         Err(self.unmet())
     }
@@ -203,7 +207,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         for _ in 0..MOST_BEGINNINGS {
             let between = self.first_sweep(scan, threshold)?;
             let found = self.trial(&between, Lie::Shifted, threshold, &search)?;
-            let times = between.faces as f64 / self.asked as f64;
+            let times = self.times(between.faces);
             let without_cuts = if threshold.is_flat() { times } else { found.before };
             if times >= SPARE_AT_END && without_cuts >= LEAST_SPARE {
                 return Ok((between, found));
@@ -216,20 +220,23 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// The last sweep: again, by what it has left, where that was not enough, or too much for the last step.
-    fn end(&self, between: &Between<S>, lie: Lie, found: Found) -> Result<Tiled<S>> {
-        let Found { mut threshold, mut search, .. } = found;
+    fn end(&self, between: &Between<S>, lie: Lie, mut found: Found) -> Result<Tiled<S>> {
         for turn in 1..=MOST_LAST_SWEEPS {
-            let tiled = self.last_sweep(between, lie, threshold)?;
+            let tiled = self.last_sweep(between, lie, found.threshold)?;
             let is_within_reach = tiled.faces.saturating_sub(tiled.removable()) <= self.asked;
-            let times = tiled.faces as f64 / self.asked as f64;
-            let is_near = times <= NEAR_END || threshold.is_flat() || turn == MOST_LAST_SWEEPS;
+            let times = self.times(tiled.faces);
+            let is_near = times <= NEAR_END || found.threshold.is_flat() || turn == MOST_LAST_SWEEPS;
             if tiled.faces >= self.asked && is_within_reach && is_near {
                 return Ok(tiled);
             }
-            search.tried(threshold.strength(), times / SPARE_AT_END);
-            threshold = threshold.of_strength(search.next());
+            found.correct(times);
         }
         Err(self.unmet())
+    }
+
+    /// How many times as many as are asked for.
+    fn times(&self, faces: u64) -> f64 {
+        faces as f64 / self.asked.max(1) as f64
     }
 
     fn unmet(&self) -> Error {

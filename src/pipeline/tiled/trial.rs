@@ -1,7 +1,7 @@
 //! The threshold of the next sweep, from some of its tiles.
 
 use super::search::Search;
-use super::{Between, Mill, SPARE_AT_END, Threshold};
+use super::{Between, MOST_AT_CUTS, Mill, NEAR_END, SPARE, SPARE_AT_END, Threshold};
 use crate::error::Result;
 use crate::mesh::Coordinate;
 use crate::tiles::{Lie, Place};
@@ -19,16 +19,32 @@ const TURNS: u32 = 5;
 pub(super) struct Found {
     /// The threshold of the sweep.
     pub threshold: Threshold,
-    /// How many times as much as is asked for it leaves, about.
-    pub leaves: f64,
-    /// And how many times as much the threshold of the sweep before would leave: how dense that has left what is at this
-    /// one's cuts, for what is asked for.
+    /// How many times as much as is asked for the threshold of the sweep before would leave: how dense that has left
+    /// what is at this one's cuts, for what is asked for.
     pub before: f64,
-    pub search: Search,
+    /// Whether the sweep may be the last one. Else it evens what is at the cuts, and leaves more.
+    pub is_last: bool,
+    /// How many times as much as is asked for the sweep is to leave.
+    aim: f64,
+    search: Search,
+}
+
+impl Found {
+    /// The sweep has left so many times as much as is asked for: too much, or too little. Another threshold, then.
+    pub fn correct(&mut self, times: f64) {
+        self.search.tried(self.threshold.strength(), times / self.aim);
+        self.threshold = self.threshold.of_strength(self.search.next());
+    }
+
+    /// What was learnt for the next trial.
+    pub fn learnt(&self) -> &Search {
+        &self.search
+    }
 }
 
 impl<S: Coordinate> Mill<'_, S> {
-    /// Finds a threshold that leaves [`SPARE_AT_END`] times what is asked for of what another one has left.
+    /// Finds the next threshold, for what a sweep to `last` has left: one that leaves [`SPARE_AT_END`] times what is asked
+    /// for, or [`SPARE`] times where what is at the cuts would stand out.
     pub(super) fn trial(&self, between: &Between<S>, lie: Lie, last: Threshold, learnt: &Search) -> Result<Found> {
         let tiles: Vec<(u64, Place)> = between.mesh.tiles(lie).into_iter().collect();
         let every = (tiles.len() / LEAST_TILES).clamp(1, ONE_IN);
@@ -45,20 +61,20 @@ impl<S: Coordinate> Mill<'_, S> {
             }
             Ok(left as f64 / asked)
         };
-        let threshold = last.among(between.faces, self.asked);
-        let mut found = Found { threshold, leaves: 0.0, before: 0.0, search: learnt.anew() };
-        for turn in 0..TURNS {
-            found.leaves = leaves(found.threshold)?;
-            if turn == 0 {
-                found.before = found.leaves;
-            }
-            let times = found.leaves / SPARE_AT_END;
-            found.search.tried(found.threshold.strength(), times);
-            if (times - 1.0).abs() < NEAR_ENOUGH || turn + 1 == TURNS {
+        let mut threshold = last.among(between.faces, self.asked);
+        let before = leaves(threshold)?;
+        let mut is_last = threshold.is_flat() || before <= MOST_AT_CUTS;
+        let aim = if is_last { SPARE_AT_END } else { SPARE };
+        let (mut search, mut left) = (learnt.anew(), before);
+        for _ in 1..TURNS {
+            search.tried(threshold.strength(), left / aim);
+            if (left / aim - 1.0).abs() < NEAR_ENOUGH {
                 break;
             }
-            found.threshold = found.threshold.of_strength(found.search.next());
+            threshold = threshold.of_strength(search.next());
+            left = leaves(threshold)?;
         }
-        Ok(found)
+        is_last &= threshold.is_flat() || left <= NEAR_END;
+        Ok(Found { threshold, before, is_last, aim, search })
     }
 }
