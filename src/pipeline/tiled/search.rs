@@ -5,8 +5,8 @@
 const COST_POWER: f64 = 3.0;
 /// What such a power may turn out to be.
 const POWERS: (f64, f64) = (0.5, 4.0);
-/// How many times as strong the next trial may be.
-const MOST_STEP: f64 = 1e4;
+/// How many times as strong, or as weak, the next trial may be.
+const MOST_STEP: f64 = 1e6;
 /// The share of what is between two trials that the next one keeps from either.
 const INSET: f64 = 0.05;
 
@@ -21,15 +21,18 @@ pub(super) struct Search {
     too_strong: Option<Trial>,
     last: Option<Trial>,
     power: f64,
+    /// How much further down to go than the power says, while all trials are too strong: twice as far each time, or what
+    /// a strength hardly changes would keep it there.
+    stretch: f64,
 }
 
 impl Search {
-    /// None was tried. Of a cost, or, where floors are looked for, of the share that goes with it.
+    /// Among costs, of which none was tried.
     pub fn of_cost() -> Self {
-        Search { too_weak: None, too_strong: None, last: None, power: COST_POWER }
+        Search { too_weak: None, too_strong: None, last: None, power: COST_POWER, stretch: 1.0 }
     }
 
-    /// The same where what is left goes with one over the strength.
+    /// Among floors: what is left goes with one over the strength.
     pub fn of_floor() -> Self {
         Search { power: 1.0, ..Self::of_cost() }
     }
@@ -54,9 +57,14 @@ impl Search {
             false => (&mut self.too_strong, &mut self.too_weak),
         };
         *side = Some(trial);
-        // Two on one side: what is on the other counts half (the Illinois method), or it would never be left.
-        if let (Some(other), true) = (other, self.last.is_some_and(|last| is_weak(last) == is_weak(trial))) {
-            other.1 *= 0.5;
+        if self.last.is_some_and(|last| is_weak(last) == is_weak(trial)) {
+            match other {
+                // Two on one side: what is on the other counts half (the Illinois method), or it would never be left.
+                Some(other) => other.1 *= 0.5,
+                // Stronger than it has to be is not to be undone: that way steps stay short.
+                None if is_weak(trial) => {}
+                None => self.stretch *= 2.0,
+            }
         }
         self.last = Some(trial);
     }
@@ -69,7 +77,7 @@ impl Search {
                 weak.0 + part * (strong.0 - weak.0)
             }
             (Some(one), None) | (None, Some(one)) => {
-                one.0 + (self.power * one.1).clamp(-MOST_STEP.ln(), MOST_STEP.ln())
+                one.0 + (self.stretch * self.power * one.1).clamp(-MOST_STEP.ln(), MOST_STEP.ln())
             }
             (None, None) => 0.0,
         };
@@ -116,6 +124,20 @@ mod tests {
             assert!(trials(Search::of_cost(), first, bent) <= 8);
             assert!(trials(Search::of_cost(), first, stays) <= 12);
             assert!(trials(Search::of_cost(), first, steps) <= 6);
+        }
+    }
+
+    #[test]
+    fn where_no_strength_leaves_enough_it_soon_is_none() {
+        for times in [0.05, 0.5, 0.9, 0.96] {
+            let mut search = Search::of_cost();
+            let mut strength: f64 = 1e-14;
+            let trials = (1..100).find(|_| {
+                search.tried(strength, times);
+                strength = search.next();
+                strength < f64::from(f32::MIN_POSITIVE)
+            });
+            assert!(trials.is_some_and(|trials| trials < 12), "{times}: {trials:?}");
         }
     }
 
