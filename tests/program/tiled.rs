@@ -75,7 +75,7 @@ fn a_flat_scan_has_the_count() {
     for (name, mesh) in [
         ("flat", flat(field(400, 300))),
         ("half", flat(field(400, 150)).and(hills(150))),
-        // Hills alone are a tenth fewer than are asked for: any cost leaves too little, and none far too much.
+        // Hills alone are a tenth fewer than are asked for: any cost leaves too little, none far too much.
         ("a quarter", flat(field(400, 232)).and(hills(67))),
     ] {
         tiled(&folder, &folder.scan(name, &mesh, Kind::Floats), &[]);

@@ -50,8 +50,8 @@ const MOST_AT_CUTS: f64 = 1.3;
 const FLOOR_AGAIN: f64 = 0.95;
 /// Below this a cost is none.
 const LEAST_COST: f64 = f32::MIN_POSITIVE as f64;
-/// Beginnings, sweeps after one, and last sweeps, at most.
-const MOST_BEGINNINGS: u32 = 4;
+/// Beginnings, sweeps after one, and last sweeps, at most. The last beginning has a floor, which always leaves enough.
+const MOST_BEGINNINGS: u32 = 3;
 const MOST_SWEEPS: u32 = 8;
 const MOST_LAST_SWEEPS: u32 = 4;
 
@@ -203,8 +203,9 @@ impl<'a, S: Coordinate> Mill<'a, S> {
 
     /// The first sweep, and what the next one is to be: all again where it has left too little.
     fn begin(&self, scan: &Partition<S>) -> Result<(Between<S>, Found)> {
-        let (mut threshold, mut search) = self.pilot(scan)?;
-        for _ in 0..MOST_BEGINNINGS {
+        let (mut threshold, search) = self.pilot(scan)?;
+        let mut search = search.anew();
+        for turn in 1..=MOST_BEGINNINGS {
             let between = self.first_sweep(scan, threshold)?;
             let found = self.trial(&between, Lie::Shifted, threshold, &search)?;
             let times = self.times(between.faces);
@@ -212,11 +213,19 @@ impl<'a, S: Coordinate> Mill<'a, S> {
             if times >= SPARE_AT_END && without_cuts >= LEAST_SPARE {
                 return Ok((between, found));
             }
-            search = search.anew();
             search.tried(threshold.strength(), without_cuts / SPARE);
-            threshold = threshold.of_strength(search.next());
+            threshold = threshold.of_strength(search.next().max(LEAST_COST));
+            if turn + 1 == MOST_BEGINNINGS {
+                threshold.floor = self.floor();
+                search = threshold.search();
+            }
         }
         Err(self.unmet())
+    }
+
+    /// The share of a part's faces that is to stay where cost does not tell where to stop.
+    fn floor(&self) -> f64 {
+        SPARE * self.asked as f64 / self.cut.faces as f64
     }
 
     /// The last sweep: again, by what it has left, where that was not enough, or too much for the last step.

@@ -79,7 +79,7 @@ impl<S: Coordinate> Mill<'_, S> {
         if f64::from(found.0.cost) >= LEAST_COST {
             return Ok(found);
         }
-        pilot.search(Threshold { cost: LEAST_COST as f32, floor: SPARE * self.asked as f64 / self.cut.faces as f64 })
+        pilot.search(Threshold { cost: LEAST_COST as f32, floor: self.floor() })
     }
 
     /// Pieces from all over the scan, cubes of it, and how many of them there are along the side of a block.
