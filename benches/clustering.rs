@@ -66,7 +66,9 @@ fn clustering(criterion: &mut Criterion) {
     ];
     let [kept, spilled, _] = rows.each_ref().map(|row| row.check(&scratch));
     assert!(kept.mesh == spilled.mesh && kept.quadrics == spilled.quadrics, "a spill changes the result");
-    assert_eq!((kept.stats.scratch_bytes, spilled.stats.scratch_bytes), (0, 8 * files.vertices));
+    // 6 bytes a vertex, and its strip's list of cells.
+    let packed = 6 * files.vertices..13 * files.vertices / 2;
+    assert!(kept.stats.scratch_bytes == 0 && packed.contains(&spilled.stats.scratch_bytes), "{:?}", spilled.stats);
 
     let mut group = group(criterion, "clustering", files.faces);
     for row in &rows {
