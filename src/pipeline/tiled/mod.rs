@@ -36,8 +36,8 @@ use std::marker::PhantomData;
 use std::time::Instant;
 use trial::Found;
 
-/// How many times as many faces as are asked for the first sweep is to leave, but for what is at its cuts. Of five
-/// scans the pilot was 2 % below to 6 % above.
+/// How many times as many faces as are asked for the first sweep is to leave, but for what is at its cuts. On scans of
+/// 1.2 to 28 M faces it has left 0.98 to 1.06 times that; 1.18 times on one of 600,000 in small tiles.
 const SPARE: f64 = 1.2;
 /// How many times as many it has to leave: a little below one what is at the cuts is enough to make up for it.
 const LEAST_SPARE: f64 = 0.95;
