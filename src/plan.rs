@@ -163,7 +163,7 @@ const TILE_SLACK: f64 = 1.6;
 /// What lists of where records are take, counts of blocks, and buffers; budgets that leave less than four times as much
 /// are too small for tiles.
 const TILE_LISTS_BYTES: f64 = 2.0 * MIB as f64;
-/// The share of a scan's faces that tiles are good for: sweeps leave a quarter more than is asked until the last choice.
+/// The share of a scan's faces that tiles are good for: the first sweep leaves a fifth more than is asked.
 const MOST_TILE_SHARE: f64 = 0.75;
 /// What is known of the last collapses, for each face of the result.
 const PROPOSAL_BYTES: f64 = 20.0;

@@ -143,7 +143,8 @@ pub(super) fn bin_vertices(
     spill: &mut Spill,
 ) -> Result<()> {
     let open = &*spill;
-    scan.vertices(crew, Binned::new, |Binned { corners, packer }, chunk| {
+    let worker = || (Vec::<Corner>::new(), Packer::new());
+    scan.vertices(crew, worker, |(corners, packer), chunk| {
         if table.is_full() {
             return Ok(());
         }
@@ -162,18 +163,6 @@ pub(super) fn bin_vertices(
     })?;
     spill.close();
     Ok(())
-}
-
-/// A worker's vertices on their way to the spill.
-struct Binned {
-    corners: Vec<Corner>,
-    packer: Packer,
-}
-
-impl Binned {
-    fn new() -> Self {
-        Binned { corners: Vec::new(), packer: Packer::new() }
-    }
 }
 
 /// Bins a position; `None` if its cell is refused.

@@ -34,9 +34,9 @@
 //!
 //! beside 12 bytes for each of `raw_faces` (of which netting and borders are given what survivors leave) and, until
 //! placement, up to `spill_resident_bytes`. A spill that does not fit takes 6.5 bytes a vertex of scratch where vertices
-//! are in a sensible order, 9 where they are shuffled (`spill.rs`); a join takes 12
-//! to 28 more a face, buckets in front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or
-//! overflowing sums need more than that is clustered again, coarser, or in more passes.
+//! are in a sensible order, 8 to 10 where they are shuffled (`spill.rs`); a join takes 12 to 28 more a face, buckets in
+//! front of a resident spill 6 or 12 (`buckets.rs`). A scan whose survivors, borders or overflowing sums need more than
+//! that is clustered again, coarser, or in more passes.
 
 mod border;
 mod buckets;

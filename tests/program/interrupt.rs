@@ -63,6 +63,7 @@ fn what_a_killed_run_leaves_the_next_one_sweeps() {
     child.wait().unwrap();
     let names = folder.names();
     let left: Vec<_> = names.iter().filter(|name| *name != "scan.ply").collect();
+    assert!(!left.is_empty(), "the run had ended");
     assert!(left.iter().all(|name| name.starts_with(".meshmill-") && name.ends_with(".tmp")), "{left:?}");
 
     let small = Folder::new();

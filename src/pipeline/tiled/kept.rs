@@ -176,6 +176,7 @@ impl<S: Coordinate> Joined<S> {
     }
 
     pub fn into_mesh(mut self) -> Result<IndexedMesh<S>> {
+        // Let go before there is the whole result.
         self.shared = FxHashMap::default();
         let mut positions: Vec<[S; 3]> = bytemuck::zeroed_vec(self.vertices as usize);
         let mut faces: Vec<[u32; 3]> = bytemuck::zeroed_vec((self.faces.length() / 12) as usize);

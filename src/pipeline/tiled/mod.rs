@@ -11,7 +11,7 @@
 //! 5. Of those collapses, none of which touches another, the cheapest are taken that bring the count to the one asked
 //!    for. Each tile is refitted to its samples, and they are joined.
 //!
-//! So the scan is swept once and what is left of it once, whatever the scan is like. Where the pilot was so far off that
+//! So the scan is swept once and what is left of it once, as a rule. Where the pilot was so far off that
 //! the vertices at the last sweep's cuts would stand out, another sweep evens them; where it was so far off to the
 //! other side that too little is left, all is begun again, with what was learnt.
 
@@ -46,8 +46,6 @@ const SPARE_AT_END: f64 = 1.05;
 const NEAR_END: f64 = 1.12;
 /// How many times as dense as is asked for vertices at the last sweep's cuts may be: 1.14 times as close together.
 const MOST_AT_CUTS: f64 = 1.3;
-/// The share of a flat tile's faces that sweeps after the first leave: what was cut before is denser than that.
-const FLOOR_AGAIN: f64 = 0.95;
 /// Below this a cost is none.
 const LEAST_COST: f64 = f32::MIN_POSITIVE as f64;
 /// Beginnings, sweeps after one, and last sweeps, at most. The last beginning has a floor, which always leaves enough.
@@ -95,11 +93,6 @@ struct Threshold {
 impl Threshold {
     fn is_flat(self) -> bool {
         self.floor > 0.0
-    }
-
-    /// That of a second sweep to the same, which finds tiles at their floor.
-    fn again(self) -> Self {
-        Threshold { floor: if self.is_flat() { FLOOR_AGAIN } else { 0.0 }, ..self }
     }
 
     /// The same for what has so many faces of which so many are asked for: there floors are other shares.

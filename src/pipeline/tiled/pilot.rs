@@ -40,13 +40,16 @@ impl<'a, 'b, S: Coordinate> Pilot<'a, 'b, S> {
         Ok(Pilot { mill, mesh, pieces, wanted })
     }
 
-    /// How many times as much as is wanted two sweeps leave.
+    /// How many times as much as is wanted two sweeps leave; one with a floor, which leaves a second nothing to do.
     fn times(&self, threshold: Threshold) -> Result<f64> {
         let Pilot { mill, mesh, .. } = self;
         mill.run.progress.check()?;
         let first = mill.part(mesh.clone(), Default::default(), mill.cut.faces, threshold, false)?.mesh;
+        if threshold.is_flat() {
+            return Ok(mill.inner(&first, self.pieces) as f64 / self.wanted);
+        }
         let whole = (mill.cut.faces as f64 * first.faces.len() as f64 / mesh.faces.len().max(1) as f64) as u64;
-        let second = mill.part(first, Default::default(), whole, threshold.again(), false)?.mesh;
+        let second = mill.part(first, Default::default(), whole, threshold, false)?.mesh;
         Ok(mill.inner(&second, self.pieces) as f64 / self.wanted)
     }
 
@@ -54,7 +57,7 @@ impl<'a, 'b, S: Coordinate> Pilot<'a, 'b, S> {
     fn search(&self, first: Threshold) -> Result<(Threshold, Search)> {
         let (mut threshold, mut search) = (first, first.search());
         for _ in 0..TURNS {
-            if threshold.floor == 0.0 && f64::from(threshold.cost) < LEAST_COST {
+            if !threshold.is_flat() && f64::from(threshold.cost) < LEAST_COST {
                 break;
             }
             let times = self.times(threshold)?;
