@@ -12,7 +12,7 @@
 use super::corners::{Faces, Sink};
 use super::grid::{Corner, LOCAL_BITS, STEPS, coordinates, is_far};
 use super::sums::Totals;
-use super::table::CellTable;
+use super::table::{CellTable, mix};
 use crate::mesh::groups::Groups;
 use crate::quadric::Quadric;
 use glam::DVec3;
@@ -36,9 +36,14 @@ pub(super) fn open_cells(triples: &[[u32; 3]], cells: usize) -> Vec<bool> {
         for cell in first as u32..(first + PART).min(cells) as u32 {
             let (own, later) = led.split_at(led.iter().take_while(|triple| triple[0] == cell).count());
             led = later;
+            let all =
+                own.iter().flat_map(|triple| [triple[1], triple[2]]).chain(between.of(cell as usize).iter().copied());
+            // Ends that are there an even number of times cancel. Of most cells all do, and nothing is to be sorted.
+            if all.clone().fold(0, |odd, end| odd ^ mix(end.into())) == 0 {
+                continue;
+            }
             ends.clear();
-            ends.extend(own.iter().flat_map(|triple| [triple[1], triple[2]]));
-            ends.extend_from_slice(between.of(cell as usize));
+            ends.extend(all);
             ends.sort_unstable();
             for same in ends.chunk_by(|u, v| u == v).filter(|same| same.len() % 2 == 1) {
                 found.extend([cell, same[0]]);

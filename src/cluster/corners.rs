@@ -10,7 +10,7 @@ use super::grid::{Corner, Grid, cell_key, place_in_cell};
 use super::join;
 use super::spill::{Packer, PageCache, Spill, SpillFile};
 use super::table::{CellTable, LastBlock, block_key, place_in_block};
-use super::used::{MARKER_BYTES, Marker, Used};
+use super::used::{MARKER_BYTES, MOST_HELD, Marker, Used};
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
@@ -23,9 +23,10 @@ pub(super) const BATCH: usize = 512;
 /// Faces or vertices from anywhere that are looked up together, so that the waits for memory overlap.
 const AT_ONCE: usize = 64;
 
-/// Bytes of a worker's [`Feed`], and of the corners of one chunk of vertices.
-pub(super) const FEED_BYTES: usize =
-    BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + (16 << 10) * size_of::<Corner>() + buckets::reader_bytes(6);
+/// Bytes of a worker's [`Feed`], and of records from buckets.
+pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + buckets::reader_bytes(6);
+/// Bytes of the corners of one chunk of vertices.
+pub(super) const BINNING_BYTES: usize = (16 << 10) * size_of::<Corner>();
 
 /// Takes faces with binned corners; one a worker.
 pub(super) trait Sink: Send {
@@ -113,15 +114,16 @@ impl<'a, K: Sink> Feed<'a, K> {
 
     /// Resolves a triangle's corners and takes it along, unless it repeats a vertex or a corner is nowhere.
     #[inline(always)]
-    fn gather(&mut self, [a, b, c]: [u32; 3], mut corner: impl FnMut(u32) -> Result<Corner>) -> Result<()> {
+    fn gather(&mut self, triangle: [u32; 3], corners: impl FnOnce([u32; 3]) -> Result<[Corner; 3]>) -> Result<()> {
+        let [a, b, c] = triangle;
         if a == b || b == c || c == a {
             self.repeated += 1;
             return Ok(());
         }
-        [a, b, c].into_iter().for_each(|vertex| self.uses(vertex));
-        let face = [corner(a)?, corner(b)?, corner(c)?];
+        triangle.into_iter().for_each(|vertex| self.uses(vertex));
+        let face = corners(triangle)?;
         if face.contains(&Corner::NOWHERE) {
-            for (vertex, corner) in [a, b, c].into_iter().zip(face) {
+            for (vertex, corner) in triangle.into_iter().zip(face) {
                 if corner == Corner::NOWHERE {
                     self.miss(vertex.into());
                 }
@@ -149,14 +151,14 @@ pub(super) fn bin_vertices(
             return Ok(());
         }
         corners.clear();
-        let mut last = LastBlock::default();
+        let (mut last, mut split) = (LastBlock::default(), Split::<AT_ONCE>::nothing());
         for positions in chunk.positions.chunks(AT_ONCE) {
             if !coherent {
                 table.fetch_numbers(positions.iter().filter_map(|p| grid.steps(*p)));
             }
-            match <&[_; AT_ONCE]>::try_from(positions).ok().and_then(|positions| Split::of(grid, positions)) {
-                Some(split) => corners.extend((0..AT_ONCE).map(|i| split.bin(i, table, &mut last).unwrap_or_default())),
-                None => corners.extend(positions.iter().map(|p| bin(grid, table, *p, &mut last).unwrap_or_default())),
+            match split.take(grid, positions) {
+                true => corners.extend((0..AT_ONCE).map(|i| split.bin(i, table, &mut last).unwrap_or_default())),
+                false => corners.extend(positions.iter().map(|p| bin(grid, table, *p, &mut last).unwrap_or_default())),
             }
         }
         open.write(chunk.first, corners, packer)
@@ -185,22 +187,31 @@ struct Split<const N: usize> {
 }
 
 impl<const N: usize> Split<N> {
-    /// Of so many positions, as wide as the processor's vectors; `None` if one is not near.
-    fn of(grid: &Grid, positions: &[[f64; 3]; N]) -> Option<Self> {
-        dispatch!(Level::new(), simd => Split::in_vectors(simd, grid, positions))
+    /// Room for them.
+    fn nothing() -> Self {
+        Split { steps: [[0; N]; 3], blocks: [0; N], cells: [0; N], places: [0; N] }
+    }
+
+    /// Splits positions, as wide as the processor's vectors; not if they are fewer, or one is not near.
+    fn take(&mut self, grid: &Grid, positions: &[[f64; 3]]) -> bool {
+        let Ok(positions) = positions.try_into() else { return false };
+        dispatch!(Level::new(), simd => self.in_vectors(simd, grid, positions))
     }
 
     #[inline(always)]
-    fn in_vectors<V: Simd>(_: V, grid: &Grid, positions: &[[f64; 3]; N]) -> Option<Self> {
-        let steps @ [x, y, z] = grid.near_steps(positions)?;
-        let (mut blocks, mut cells, mut places) = ([0; N], [0; N], [0; N]);
+    fn in_vectors<V: Simd>(&mut self, _: V, grid: &Grid, positions: &[[f64; 3]; N]) -> bool {
+        let Split { steps, blocks, cells, places } = self;
+        if !grid.near_steps(positions, steps) {
+            return false;
+        }
+        let [x, y, z] = steps;
         for i in 0..N {
             let s = [x[i], y[i], z[i]];
             blocks[i] = block_key(s);
             cells[i] = place_in_block(s) as u64;
             places[i] = place_in_cell(s);
         }
-        Some(Split { steps, blocks, cells, places })
+        true
     }
 
     /// Bins one of them, as [`bin`] does.
@@ -218,6 +229,12 @@ fn fetch(all: &[AtomicU64], used: &Used, triangles: &[[u32; 3]]) {
     let near = |v: u32| all[v as usize].load(Relaxed) | used.word(v);
     let gathered = triangles.as_flattened().iter().fold(0, |bits, v| bits | near(*v));
     std::hint::black_box(gathered);
+}
+
+/// The corners of a triangle's vertices.
+#[inline(always)]
+fn load(all: &[AtomicU64], triangle: [u32; 3]) -> [Corner; 3] {
+    triangle.map(|vertex| Corner(all[vertex as usize].load(Relaxed)))
 }
 
 /// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
@@ -238,17 +255,18 @@ pub(super) fn stream<'u, K: Sink>(
                         fetch(all, used, triangles);
                     }
                     for triangle in triangles {
-                        feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                        feed.gather(*triangle, |t| Ok(load(all, t)))?;
                     }
                 }
                 Ok(())
             },
         )?,
         Corners::Sorted(all, buckets) => {
-            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
+            let near = buckets.vertices <= MOST_HELD;
+            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, near)).collect();
             feeds[0].repeated = buckets.repeated;
             buckets.stream(crew, &mut feeds, |feed, form, records| {
-                form.each(records, |triangle| feed.gather(triangle, |v| Ok(Corner(all[v as usize].load(Relaxed)))))
+                form.each(records, |triangle| feed.gather(triangle, |t| Ok(load(all, t))))
             })?;
             feeds
         }
@@ -256,7 +274,7 @@ pub(super) fn stream<'u, K: Sink>(
             let worker = || (Feed::new(sink(), used, true), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
-                    feed.gather(*triangle, |v| pages.get(v))?;
+                    feed.gather(*triangle, |t| pages.get(t))?;
                 }
                 Ok(())
             })?;
@@ -285,19 +303,17 @@ fn soup<'u, K: Sink>(
             if table.is_full() {
                 return Ok(());
             }
-            let last = &mut LastBlock::default();
+            let (mut last, mut split) = (LastBlock::default(), Split::<{ 3 * AT_ONCE }>::nothing());
             for (triangles, first) in chunk.triangles.chunks(AT_ONCE).zip((chunk.first..).step_by(AT_ONCE)) {
-                let positions = triangles.as_flattened();
-                let split =
-                    <&[_; 3 * AT_ONCE]>::try_from(positions).ok().and_then(|positions| Split::of(grid, positions));
+                let is_split = split.take(grid, triangles.as_flattened());
                 for (i, &[a, b, c]) in triangles.iter().enumerate() {
                     if a == b || b == c || c == a {
                         feed.repeated += 1;
                         continue;
                     }
-                    let mut bin = |corner: usize| match &split {
-                        Some(split) => split.bin(3 * i + corner, table, last),
-                        None => bin(grid, table, triangles[i][corner], last),
+                    let mut bin = |corner: usize| match is_split {
+                        true => split.bin(3 * i + corner, table, &mut last),
+                        false => bin(grid, table, triangles[i][corner], &mut last),
                     };
                     if let (Some(a), Some(b), Some(c)) = (bin(0), bin(1), bin(2)) {
                         let face = [a, b, c];

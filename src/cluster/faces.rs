@@ -77,7 +77,7 @@ impl<'a> FaceWorker<'a> {
     /// A worker that adds to `sums` and `survivors`, and takes `samples`; `quantum` is the unit of weight, in cells².
     pub(super) fn new(
         table: &'a CellTable,
-        sums: &'a Sums,
+        sums: &'a Sums<'a>,
         survivors: &'a Survivors,
         samples: Option<SampleWorker<'a>>,
         quantum: f64,
@@ -146,7 +146,7 @@ impl FaceWorker<'_> {
         if self.coherent {
             self.gatherer.add(simd, (planes, weights_rounded), shares);
         } else {
-            self.gatherer.add_now(simd, (planes, weights_rounded), shares);
+            self.gatherer.add_apart(simd, (planes, weights_rounded), shares);
         }
     }
 }

@@ -145,20 +145,20 @@ impl Grid {
         if (steps[0] | steps[1] | steps[2]) >> STEP_BITS == 0 { Some(steps) } else { far_steps(s) }
     }
 
-    /// The steps of some positions, by axis; `None` where one is not near, or none. One after the other in short loops, as
-    /// wide as the vectors of the function that this becomes a part of.
+    /// The steps of some positions, by axis, and whether all are near; if not, they are worth nothing. One after the other
+    /// in short loops, as wide as the vectors of the function that this becomes a part of.
     #[inline(always)]
-    pub(super) fn near_steps<const N: usize>(&self, positions: &[[f64; 3]; N]) -> Option<[[u64; N]; 3]> {
-        let (origin, steps_per_unit) = self.in_file?;
+    pub(super) fn near_steps<const N: usize>(&self, positions: &[[f64; 3]; N], steps: &mut [[u64; N]; 3]) -> bool {
+        let Some((origin, steps_per_unit)) = self.in_file else { return false };
         let (frame, origin) = (self.frame.origin().to_array(), origin.to_array());
-        let (mut steps, mut all) = ([[0; N]; 3], 0);
+        let mut all = 0;
         for axis in 0..3 {
             for (steps, p) in steps[axis].iter_mut().zip(positions) {
                 *steps = round((p[axis] - frame[axis] - origin[axis]) * steps_per_unit);
                 all |= *steps;
             }
         }
-        (all >> STEP_BITS == 0).then_some(steps)
+        all >> STEP_BITS == 0
     }
 
     #[cold]
@@ -322,8 +322,10 @@ mod tests {
                 let back = grid.position(cell_key(s), local) - p / 8.0;
                 assert!(back.abs().max_element() <= 0.5001 * grid.cell / STEPS, "{p} moved by {back}");
                 assert_eq!(absolute(corner, cell_key(s)), s.map(|x| x as i64));
-                assert_eq!(grid.near_steps(&[p.to_array(); 2]).unwrap(), s.map(|x| [x; 2]));
-                assert_eq!(grid.near_steps(&[p.to_array(), [0.0, f64::NAN, 5e5]]), None);
+                let mut near = [[0; 2]; 3];
+                assert!(grid.near_steps(&[p.to_array(); 2], &mut near));
+                assert_eq!(near, s.map(|x| [x; 2]));
+                assert!(!grid.near_steps(&[p.to_array(), [0.0, f64::NAN, 5e5]], &mut near));
             }
         }
     }

@@ -182,18 +182,18 @@ pub const fn summing_bytes(cells: usize, layout: Layout) -> u64 {
     let room = room(cells);
     let ordering = CellTable::block_capacity(room) * 20;
     let binned = CellTable::bytes(room) + ordering + room * 4;
-    let lines = room * (sums::LINE_BYTES + sums::SIDE_BYTES);
+    let sums = sums::bytes_for(room);
     let summed = match layout {
-        Layout::Indexed => lines + room * 12,
-        Layout::Soup => lines + binned,
+        Layout::Indexed => sums + room * 12,
+        Layout::Soup => sums + binned,
     };
     (if summed > binned { summed } else { binned }) as u64
 }
 
 /// Bytes of arrays for `cells` cells while representatives are placed, beside the faces.
 pub const fn placing_bytes(cells: usize, double: bool) -> u64 {
-    let a_cell = sums::LINE_BYTES + sums::SIDE_BYTES + 16 + size_of::<PackedQuadric>() + if double { 24 } else { 12 };
-    (room(cells) * a_cell) as u64
+    let a_cell = 16 + size_of::<PackedQuadric>() + if double { 24 } else { 12 };
+    (sums::bytes_for(room(cells)) + room(cells) * a_cell) as u64
 }
 
 /// Cells that the table has room for: more than are aimed at, since the count that their size is chosen by is not exact.
@@ -207,7 +207,9 @@ pub const BYTES_PER_RAW_FACE: usize = survivors::TRIPLE_BYTES;
 
 /// Bytes that a worker takes, beside what reading does and [`bytes_per_spill_worker`].
 pub const fn bytes_per_worker() -> usize {
-    sums::CACHE_BYTES + faces::BATCH_BYTES + survivors::APPENDER_BYTES + sampling::WORKER_BYTES + corners::FEED_BYTES
+    let taking = faces::BATCH_BYTES + survivors::APPENDER_BYTES + sampling::WORKER_BYTES + corners::FEED_BYTES;
+    let adding = sums::CACHE_BYTES;
+    if taking + adding > corners::BINNING_BYTES { taking + adding } else { corners::BINNING_BYTES }
 }
 
 /// Bytes that a worker takes for a spill that is not resident.
@@ -328,7 +330,8 @@ impl Run<'_> {
             spill = Some(s);
         }
         let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
-        let sums = Sums::new(if spill.is_some() { table.len() } else { room });
+        let mut totals = Totals::new(if spill.is_some() { table.len() } else { room });
+        let sums = Sums::of(&mut totals);
         let survivors = Survivors::new(self.options.raw_faces);
         let sampler = match self.options.samples {
             0 => None,
@@ -352,10 +355,11 @@ impl Run<'_> {
         for mut feed in feeds {
             feed.sink.flush();
         }
+        let too_heavy = sums.overflowed();
         drop(used);
         let samples = sampler.map(Sampler::finish).transpose()?;
         if table.is_full() {
-            drop((table, sums, survivors));
+            drop((table, totals, survivors));
             return self.overflowed(&grid, sizing);
         }
         if spill.is_none() && !sizing.has_learnt() && table.len() < self.options.enough_cells {
@@ -365,11 +369,11 @@ impl Run<'_> {
         if survivors.overflowed() {
             return Ok(self.coarsen(sizing, survivors.count() as f64 / (self.options.raw_faces as f64).max(1.0)));
         }
-        if sums.overflowed() {
+        if too_heavy {
             self.coarser_weights *= 64.0;
             return Ok(None);
         }
-        let (totals, mut triples) = (sums.into_totals(), survivors.into_triples());
+        let mut triples = survivors.into_triples();
         if spill.is_none() {
             ranks = table.ranks();
         }

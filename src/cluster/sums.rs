@@ -7,9 +7,9 @@
 //! bits; a line that would overflow moves to a side table of 64-bit sums. Which cells have a line there is decided by
 //! their weight alone.
 //!
-//! Lines are 64 bytes with their lock. Locking one for every contribution would cost more than the arithmetic, so each
-//! worker gathers in a small write-back cache first: faces in scan order hit the same cell many times in a row. What leaves
-//! the cache waits until there is more of it.
+//! Lines are 64 bytes. A lock for each would cost more than adding to it does, so one lock is for a *region* of cells, and
+//! workers wait until they have some contributions to one. Where faces come in scan order they hit the same cell many times
+//! in a row: each worker gathers these in a small write-back cache first.
 
 use super::grid::{FIELD_BITS, STEPS};
 use crate::cores::InPieces;
@@ -18,8 +18,8 @@ use fearless_simd::{Simd, f32x4, f32x16, i32x16, prelude::*, u32x16, u64x8};
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Mutex, PoisonError};
 
 /// Lanes of a cell's sums: `Axx Axy Axz bx Ayy Ayz by Azz bz c w Σwx Σwy Σwz`.
 pub(super) const LANES: usize = 14;
@@ -38,30 +38,53 @@ const HEAVIEST: f32 = (1u64 << 48) as f32;
 /// Lines that are fetched together: few enough for the first-level cache.
 pub(super) const AT_ONCE: usize = 64;
 
+/// Regions that cells are in; each has a lock. Twice as many are no faster.
+const REGIONS: usize = 32;
+/// Cells that follow one another in a region before it is the next one's turn, so that workers who are in the same part of
+/// a scan seldom wait for one another.
+const TURN: usize = 16;
+/// Contributions to a region that wait for one another, so that locks do not count, and waits for memory overlap.
+const WAITING: usize = 32;
+
 /// Lines in a worker's cache: 256 KiB, which stays in the second-level cache, and holds the cells of most buckets: of half
 /// of them, faces in no order take a tenth longer.
 const CACHED: usize = 4096;
 /// The owner of an empty line.
 const NOBODY: u32 = u32::MAX;
 
-/// Bytes of a cell's line.
-pub(super) const LINE_BYTES: usize = size_of::<Line>();
 /// One cell in so many may have sums in the side table, which takes about 150 bytes for each while it grows.
 const ASIDE: usize = 32;
 /// Bytes of the side table for each cell.
-pub(super) const SIDE_BYTES: usize = 5;
-/// Bytes of a worker's cache.
-pub(super) const CACHE_BYTES: usize =
-    CACHED * (size_of::<Cached>() + size_of::<Owner>()) + AT_ONCE * size_of::<Cached>();
+const SIDE_BYTES: usize = 5;
 
-#[derive(Default)]
+/// Bytes of sums for so many cells.
+pub(super) const fn bytes_for(cells: usize) -> usize {
+    cells.next_multiple_of(REGIONS * TURN) * size_of::<Line>() + cells * SIDE_BYTES
+}
+
+/// Bytes of a worker's cache, and of what it is about to add.
+pub(super) const CACHE_BYTES: usize =
+    CACHED * (size_of::<Line>() + size_of::<Owner>()) + REGIONS * size_of::<Waiting>();
+
+/// A cell's sums, or what is added to them, in the order of a contribution.
+#[derive(Clone, Copy)]
 #[repr(align(64))]
-struct Line(Mutex<[i32; LANES]>);
+struct Line([i32; PADDED]);
 
 /// The sums of all cells.
-pub(super) struct Sums {
+pub(super) struct Totals {
+    /// One region's after the other.
     lines: Vec<Line>,
-    side: Mutex<FxHashMap<u32, [i64; LANES]>>,
+    side: FxHashMap<u32, [i64; LANES]>,
+}
+
+/// The same while workers add to them.
+pub(super) struct Sums<'a> {
+    /// The lines of each region.
+    regions: Vec<Mutex<&'a mut [Line]>>,
+    side: Mutex<&'a mut FxHashMap<u32, [i64; LANES]>>,
+    /// Cells that may have sums there.
+    most_aside: usize,
     overflowed: AtomicBool,
 }
 
@@ -207,17 +230,11 @@ fn row(plane: &Plane, weight: f32, place: u64) -> [f32; PADDED] {
 /// 2^52 + 2^51: adding it leaves a double's nearest integer in the low bits of its mantissa, sign included.
 const ROUNDER: f64 = 6_755_399_441_055_744.0;
 
-/// A line in a worker's cache.
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-struct Cached([i32; PADDED]);
-
 /// A worker's access to the sums. Nothing counts until [`Gatherer::flush`].
 pub(super) struct Gatherer<'a> {
-    sums: &'a Sums,
-    cache: Box<[Cached; CACHED]>,
+    cache: Box<[Line; CACHED]>,
     owners: Box<[Owner; CACHED]>,
-    leaving: Leaving,
+    leaving: Leaving<'a>,
 }
 
 /// Whose a cached line is, and what weight is in it: apart from the line, which is on its way to memory whenever its
@@ -229,10 +246,10 @@ struct Owner {
 }
 
 impl<'a> Gatherer<'a> {
-    pub(super) fn new(sums: &'a Sums) -> Self {
-        let cache = Box::new([Cached([0; PADDED]); CACHED]);
+    pub(super) fn new(sums: &'a Sums<'a>) -> Self {
+        let cache = Box::new([Line([0; PADDED]); CACHED]);
         let owners = Box::new([Owner { cell: NOBODY, weight: 0 }; CACHED]);
-        Gatherer { sums, cache, owners, leaving: Leaving::new() }
+        Gatherer { cache, owners, leaving: Leaving::new(sums) }
     }
 
     /// Adds shares in `planes` to their cells, by way of the cache: for faces whose neighbours come next. `weights` are those
@@ -257,37 +274,33 @@ impl<'a> Gatherer<'a> {
                 if (owner.cell != cell) | (owner.weight > LIMIT as u32) {
                     if i64::from(weight) > LIMIT {
                         owner.weight = before;
-                        self.sums.add_wide(cell, &planes[plane], shares.places[at]);
+                        self.leaving.sums.add_wide(cell, &planes[plane], shares.places[at]);
                         continue;
                     }
-                    self.leaving.put(self.sums, owner.cell, line);
+                    self.leaving.put(owner.cell, line);
                     *owner = Owner { cell, weight };
+                    *line = [0; PADDED];
                 }
                 (i32x16::load_array_ref(simd, line) + i32x16::load_array_ref(simd, quanta)).store_array(line);
             }
         }
     }
 
-    /// Adds shares in `planes` to their cells at once: for faces from anywhere. Lines are brought near first, so that the
-    /// waits for them overlap.
+    /// Adds shares in `planes` to their cells without the cache: for faces from anywhere.
     #[inline(always)]
-    pub(super) fn add_now<V: Simd, const P: usize, const MOST: usize>(
+    pub(super) fn add_apart<V: Simd, const P: usize, const MOST: usize>(
         &mut self,
         simd: V,
         (planes, weights): (&[Plane; P], &[i32; P]),
         shares: &Shares<MOST>,
     ) {
-        for begin in (0..shares.count).step_by(AT_ONCE) {
-            let end = shares.count.min(begin + AT_ONCE);
-            fetch(&self.sums.lines, &shares.cells[begin..end]);
-            for first in (begin..end).step_by(TOGETHER) {
-                let quanta = quanta(simd, planes, shares, first);
-                for (at, quanta) in (first..end).zip(&quanta) {
-                    let (cell, plane) = (shares.cells[at], usize::from(shares.planes[at]) % P);
-                    match i64::from(weights[plane]) > LIMIT {
-                        true => self.sums.add_wide(cell, &planes[plane], shares.places[at]),
-                        false => self.sums.add(cell, quanta),
-                    }
+        for first in (0..shares.count).step_by(TOGETHER) {
+            let quanta = quanta(simd, planes, shares, first);
+            for (at, quanta) in (first..shares.count).zip(&quanta) {
+                let (cell, plane) = (shares.cells[at], usize::from(shares.planes[at]) % P);
+                match i64::from(weights[plane]) > LIMIT {
+                    true => self.leaving.sums.add_wide(cell, &planes[plane], shares.places[at]),
+                    false => self.leaving.put(cell, quanta),
                 }
             }
         }
@@ -296,43 +309,51 @@ impl<'a> Gatherer<'a> {
     /// Hands all that was gathered to the sums.
     pub(super) fn flush(&mut self) {
         for (line, owner) in self.cache.iter_mut().zip(&mut *self.owners) {
-            self.leaving.put(self.sums, owner.cell, &mut line.0);
-            *owner = Owner { cell: NOBODY, weight: 0 };
+            self.leaving.put(owner.cell, &line.0);
+            (line.0, *owner) = ([0; PADDED], Owner { cell: NOBODY, weight: 0 });
         }
-        self.leaving.flush(self.sums);
+        self.leaving.flush();
     }
 }
 
-/// Lines on their way from a worker's cache to the sums: together, so that the waits for memory overlap.
-struct Leaving {
-    lines: Box<[Cached; AT_ONCE]>,
-    owners: [u32; AT_ONCE],
+/// What a worker is about to add to the sums.
+struct Leaving<'a> {
+    sums: &'a Sums<'a>,
+    /// To each region.
+    waiting: Vec<Waiting>,
+}
+
+/// Contributions to one region.
+#[derive(Clone)]
+struct Waiting {
+    lines: [Line; WAITING],
+    cells: [u32; WAITING],
     count: usize,
 }
 
-impl Leaving {
-    fn new() -> Self {
-        Leaving { lines: Box::new([Cached([0; PADDED]); AT_ONCE]), owners: [NOBODY; AT_ONCE], count: 0 }
+impl<'a> Leaving<'a> {
+    fn new(sums: &'a Sums<'a>) -> Self {
+        let none = Waiting { lines: [Line([0; PADDED]); WAITING], cells: [NOBODY; WAITING], count: 0 };
+        Leaving { sums, waiting: vec![none; REGIONS] }
     }
 
-    /// Takes a cached line and empties it.
+    /// Takes what is to be added to a cell, if it is one.
     #[inline(always)]
-    fn put(&mut self, sums: &Sums, owner: u32, line: &mut [i32; PADDED]) {
-        if self.count == AT_ONCE {
-            self.flush(sums);
+    fn put(&mut self, cell: u32, line: &[i32; PADDED]) {
+        if cell == NOBODY {
+            return;
         }
-        self.lines[self.count].0 = std::mem::replace(line, [0; PADDED]);
-        self.owners[self.count] = owner;
-        self.count += 1;
+        let waiting = &mut self.waiting[region(cell)];
+        let at = waiting.count % WAITING;
+        (waiting.lines[at].0, waiting.cells[at]) = (*line, cell);
+        waiting.count += 1;
+        if waiting.count == WAITING {
+            self.sums.add(waiting);
+        }
     }
 
-    #[inline(never)]
-    fn flush(&mut self, sums: &Sums) {
-        let owners = &self.owners[..std::mem::take(&mut self.count)];
-        fetch(&sums.lines, owners);
-        for (line, owner) in self.lines.iter().zip(owners) {
-            sums.add(*owner, &line.0);
-        }
+    fn flush(&mut self) {
+        self.waiting.iter_mut().for_each(|waiting| self.sums.add(waiting));
     }
 }
 
@@ -354,21 +375,40 @@ fn quanta<V: Simd, const P: usize, const MOST: usize>(
     quanta
 }
 
-/// A contribution's or a cached line's lanes without the unused ones.
-#[inline(always)]
-fn unpad<T: Copy>(lanes: &[T; PADDED]) -> [T; LANES] {
-    std::array::from_fn(|i| match i {
-        ..WEIGHT => lanes[i],
-        WEIGHT => lanes[PADDED_WEIGHT],
-        _ => lanes[i + PADDED_WEIGHT - LANES],
-    })
+/// Where a lane is in a contribution.
+const fn padded(lane: usize) -> usize {
+    match lane {
+        ..WEIGHT => lane,
+        WEIGHT => PADDED_WEIGHT,
+        _ => lane + PADDED_WEIGHT - LANES,
+    }
 }
 
-impl Sums {
-    /// Sums of zero for `cells` cells.
-    pub(super) fn new(cells: usize) -> Self {
-        let lines = (0..cells).into_par_iter().in_pieces(4096).map(|_| Line::default()).collect();
-        Sums { lines, side: Mutex::default(), overflowed: AtomicBool::new(false) }
+/// A contribution's or a line's lanes without the unused ones.
+#[inline(always)]
+fn unpad(lanes: &[i32; PADDED]) -> [i64; LANES] {
+    std::array::from_fn(|lane| lanes[padded(lane)].into())
+}
+
+/// The region that a cell is in.
+#[inline(always)]
+fn region(cell: u32) -> usize {
+    cell as usize / TURN % REGIONS
+}
+
+/// Which of the region's lines is the cell's.
+#[inline(always)]
+fn place_in_region(cell: u32) -> usize {
+    cell as usize / (TURN * REGIONS) * TURN + cell as usize % TURN
+}
+
+impl<'a> Sums<'a> {
+    /// Opens `totals` to workers: what they add is there once all have flushed.
+    pub(super) fn of(totals: &'a mut Totals) -> Self {
+        let cells = totals.lines.len();
+        let (most_aside, lines) = (cells / ASIDE + 1024, (cells / REGIONS).max(1));
+        let regions = totals.lines.chunks_mut(lines).map(Mutex::new).collect();
+        Sums { regions, side: Mutex::new(&mut totals.side), most_aside, overflowed: AtomicBool::new(false) }
     }
 
     /// Whether more cells have outgrown their lines than there is room for: a larger unit of weight is needed.
@@ -376,18 +416,22 @@ impl Sums {
         self.overflowed.load(Relaxed)
     }
 
-    #[inline(always)]
-    fn add(&self, owner: u32, gathered: &[i32; PADDED]) {
-        let gathered = unpad(gathered);
-        let Some(line) = self.lines.get(owner as usize) else { return };
+    /// Adds what waits.
+    #[inline(never)]
+    fn add(&self, waiting: &mut Waiting) {
+        let count = std::mem::take(&mut waiting.count).min(WAITING);
+        let (cells, lines) = (&waiting.cells[..count], &waiting.lines[..count]);
+        let Some(first) = cells.first() else { return };
         // A worker that panicked has left nothing half done here: lanes are added without a call that could.
-        let mut line = line.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        if i64::from(line[WEIGHT]) + i64::from(gathered[WEIGHT]) > LIMIT {
-            self.add_aside(owner, &line.map(i64::from));
-            *line = gathered;
-        } else {
-            for (sum, x) in line.iter_mut().zip(gathered) {
-                *sum = sum.wrapping_add(x);
+        let mut region = self.regions[region(*first)].lock().unwrap_or_else(PoisonError::into_inner);
+        fetch(cells.iter().map(|cell| &region[place_in_region(*cell)]));
+        for (cell, Line(extra)) in cells.iter().zip(lines) {
+            let Line(sums) = &mut region[place_in_region(*cell)];
+            if i64::from(sums[PADDED_WEIGHT]) + i64::from(extra[PADDED_WEIGHT]) > LIMIT {
+                self.add_aside(*cell, &unpad(sums));
+                *sums = *extra;
+            } else {
+                sums.iter_mut().zip(extra).for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
             }
         }
     }
@@ -395,15 +439,15 @@ impl Sums {
     /// Adds what a plane adds that does not fit 32 bits.
     #[cold]
     fn add_wide(&self, cell: u32, plane: &Plane, place: u64) {
-        let wide = row(plane, plane.weight().min(HEAVIEST), place)
-            .map(|x| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64));
-        self.add_aside(cell, &unpad(&wide));
+        let row = row(plane, plane.weight().min(HEAVIEST), place);
+        let rounded = |x: f32| ((f64::from(x) + ROUNDER).to_bits() as i64).wrapping_sub(ROUNDER.to_bits() as i64);
+        self.add_aside(cell, &std::array::from_fn(|lane| rounded(row[padded(lane)])));
     }
 
     #[cold]
     fn add_aside(&self, cell: u32, lanes: &[i64; LANES]) {
-        let mut side = self.side.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        if side.len() > self.lines.len() / ASIDE + 1024 {
+        let mut side = self.side.lock().unwrap_or_else(PoisonError::into_inner);
+        if side.len() > self.most_aside {
             return self.overflowed.store(true, Relaxed);
         }
         let sums = side.entry(cell).or_insert([0; LANES]);
@@ -411,36 +455,35 @@ impl Sums {
             *sum = sum.wrapping_add(*x);
         }
     }
-
-    /// The sums as they are once all workers have flushed.
-    pub(super) fn into_totals(self) -> Totals {
-        Totals { lines: self.lines, side: self.side.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) }
-    }
 }
 
-/// Brings cells' lines near, so that the waits for them overlap.
+/// Brings lines near, so that the waits for them overlap.
 #[inline(always)]
-fn fetch(lines: &[Line], cells: &[u32]) {
-    let poisoned = |cell: &u32| lines.get(*cell as usize).is_some_and(|line| line.0.is_poisoned());
-    std::hint::black_box(cells.iter().fold(false, |any, cell| any | poisoned(cell)));
-}
-
-/// The sums of all cells, complete.
-pub(super) struct Totals {
-    lines: Vec<Line>,
-    side: FxHashMap<u32, [i64; LANES]>,
+fn fetch<'a>(lines: impl Iterator<Item = &'a Line>) {
+    std::hint::black_box(lines.fold(0, |all, line| all | line.0[0]));
 }
 
 impl Totals {
+    /// Sums of zero for `cells` cells.
+    pub(super) fn new(cells: usize) -> Self {
+        // Written, since what is looked at first is mapped twice.
+        let count = cells.next_multiple_of(REGIONS * TURN);
+        let lines = (0..count).into_par_iter().in_pieces(4096).map(|_| Line([0; PADDED])).collect();
+        Totals { lines, side: FxHashMap::default() }
+    }
+
+    fn place(&self, cell: u32) -> usize {
+        region(cell) * (self.lines.len() / REGIONS) + place_in_region(cell)
+    }
+
     /// Brings cells' sums near, for those who ask for all of them next.
     pub(super) fn fetch(&self, cells: &[u32]) {
-        fetch(&self.lines, cells);
+        fetch(cells.iter().map(|cell| &self.lines[self.place(*cell)]));
     }
 
     /// A cell's sums, in the order of [`LANES`].
     pub(super) fn of(&self, cell: u32) -> [i64; LANES] {
-        let line = self.lines[cell as usize].0.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let mut total = line.map(i64::from);
+        let mut total = unpad(&self.lines[self.place(cell)].0);
         if let Some(aside) = self.side.get(&cell) {
             for (sum, x) in total.iter_mut().zip(aside) {
                 *sum = sum.wrapping_add(*x);
@@ -451,13 +494,15 @@ impl Totals {
 
     /// Adds to a cell's sums.
     pub(super) fn add(&mut self, cell: u32, extra: [i64; LANES]) {
-        let line = self.lines[cell as usize].0.get_mut().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let sums: [i64; LANES] = std::array::from_fn(|i| i64::from(line[i]) + extra[i]);
+        let place = self.place(cell);
+        let Line(line) = &mut self.lines[place];
+        let before = unpad(line);
+        let sums: [i64; LANES] = std::array::from_fn(|lane| before[lane] + extra[lane]);
         if sums.iter().all(|x| i32::try_from(*x).is_ok()) {
-            *line = sums.map(|x| x as i32);
+            sums.iter().enumerate().for_each(|(lane, x)| line[padded(lane)] = *x as i32);
         } else {
             let aside = self.side.entry(cell).or_insert([0; LANES]);
-            *aside = std::array::from_fn(|i| aside[i].wrapping_add(extra[i]));
+            *aside = std::array::from_fn(|lane| aside[lane].wrapping_add(extra[lane]));
         }
     }
 
@@ -522,12 +567,13 @@ mod tests {
         }
         match turn % 2 {
             0 => gatherer.add(simd, (&planes, &weights), &shares),
-            _ => gatherer.add_now(simd, (&planes, &weights), &shares),
+            _ => gatherer.add_apart(simd, (&planes, &weights), &shares),
         }
     }
 
     fn gather(level: Level, shares: &[Share], workers: usize) -> (Vec<[i64; LANES]>, usize) {
-        let sums = Sums::new(5000);
+        let mut totals = Totals::new(5000);
+        let sums = Sums::of(&mut totals);
         std::thread::scope(|scope| {
             for part in shares.chunks(shares.len().div_ceil(workers)) {
                 let sums = &sums;
@@ -540,7 +586,6 @@ mod tests {
                 });
             }
         });
-        let totals = sums.into_totals();
         ((0..5000).map(|cell| totals.of(cell)).collect(), totals.outgrown())
     }
 
@@ -566,8 +611,7 @@ mod tests {
 
     #[test]
     fn a_line_is_a_cache_line() {
-        assert_eq!(LINE_BYTES, 64);
-        assert_eq!(size_of::<Cached>(), 64);
+        assert_eq!(size_of::<Line>(), 64);
     }
 
     #[test]
