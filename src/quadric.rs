@@ -124,11 +124,19 @@ impl Quadric {
     /// of weight zero or one whose solution overflows.
     #[inline(always)]
     pub fn minimiser(&self, m: DVec3, epsilon: f64) -> Option<DVec3> {
+        let (x, is_one) = self.minimiser_if_one(m, epsilon);
+        is_one.then_some(x)
+    }
+
+    /// The same, and whether it is one, without a branch, for loops over many.
+    #[inline(always)]
+    pub fn minimiser_if_one(&self, m: DVec3, epsilon: f64) -> (DVec3, bool) {
         let r = epsilon * self.trace() * (1.0 / 3.0);
         let g = -(self.product(m) + self.b);
-        let (step, pivots) = solve(&self.a, r, g.to_array());
+        let (step, [p, q, r]) = solve(&self.a, r, g.to_array());
         let x = m + DVec3::from(step);
-        (pivots.into_iter().all(|pivot| pivot > 0.0) && x.is_finite()).then_some(x)
+        let is_finite = x.x.is_finite() & x.y.is_finite() & x.z.is_finite();
+        (x, (p > 0.0) & (q > 0.0) & (r > 0.0) & is_finite)
     }
 
     /// `A` as a matrix.
@@ -140,8 +148,9 @@ impl Quadric {
     /// Rounded to storage.
     #[inline(always)]
     pub fn pack(&self) -> PackedQuadric {
+        let [xx, xy, xz, yy, yz, zz] = self.a;
         PackedQuadric {
-            a: self.a.map(|x| x as f32),
+            a: [xx as f32, xy as f32, xz as f32, yy as f32, yz as f32, zz as f32],
             b: self.b.as_vec3().to_array(),
             c: self.c as f32,
             w: self.w as f32,

@@ -35,9 +35,6 @@ const LIMIT: i64 = (1 << 31) - (1 << 20);
 /// times the area that the whole scan was estimated to have.
 const HEAVIEST: f32 = (1u64 << 48) as f32;
 
-/// Lines that are fetched together: few enough for the first-level cache.
-pub(super) const AT_ONCE: usize = 64;
-
 /// Regions that cells are in; each has a lock. Twice as many are no faster.
 const REGIONS: usize = 32;
 /// Cells that follow one another in a region before it is the next one's turn, so that workers who are in the same part of
