@@ -114,16 +114,15 @@ impl<'a, K: Sink> Feed<'a, K> {
 
     /// Resolves a triangle's corners and takes it along, unless it repeats a vertex or a corner is nowhere.
     #[inline(always)]
-    fn gather(&mut self, triangle: [u32; 3], corners: impl FnOnce([u32; 3]) -> Result<[Corner; 3]>) -> Result<()> {
-        let [a, b, c] = triangle;
+    fn gather(&mut self, [a, b, c]: [u32; 3], mut corner: impl FnMut(u32) -> Result<Corner>) -> Result<()> {
         if a == b || b == c || c == a {
             self.repeated += 1;
             return Ok(());
         }
-        triangle.into_iter().for_each(|vertex| self.uses(vertex));
-        let face = corners(triangle)?;
+        [a, b, c].into_iter().for_each(|vertex| self.uses(vertex));
+        let face = [corner(a)?, corner(b)?, corner(c)?];
         if face.contains(&Corner::NOWHERE) {
-            for (vertex, corner) in triangle.into_iter().zip(face) {
+            for (vertex, corner) in [a, b, c].into_iter().zip(face) {
                 if corner == Corner::NOWHERE {
                     self.miss(vertex.into());
                 }
@@ -231,12 +230,6 @@ fn fetch(all: &[AtomicU64], used: &Used, triangles: &[[u32; 3]]) {
     std::hint::black_box(gathered);
 }
 
-/// The corners of a triangle's vertices.
-#[inline(always)]
-fn load(all: &[AtomicU64], triangle: [u32; 3]) -> [Corner; 3] {
-    triangle.map(|vertex| Corner(all[vertex as usize].load(Relaxed)))
-}
-
 /// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
 pub(super) fn stream<'u, K: Sink>(
     scan: &Scan,
@@ -255,7 +248,7 @@ pub(super) fn stream<'u, K: Sink>(
                         fetch(all, used, triangles);
                     }
                     for triangle in triangles {
-                        feed.gather(*triangle, |t| Ok(load(all, t)))?;
+                        feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
                     }
                 }
                 Ok(())
@@ -266,7 +259,7 @@ pub(super) fn stream<'u, K: Sink>(
             let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, near)).collect();
             feeds[0].repeated = buckets.repeated;
             buckets.stream(crew, &mut feeds, |feed, form, records| {
-                form.each(records, |triangle| feed.gather(triangle, |t| Ok(load(all, t))))
+                form.each(records, |triangle| feed.gather(triangle, |v| Ok(Corner(all[v as usize].load(Relaxed)))))
             })?;
             feeds
         }
@@ -274,7 +267,7 @@ pub(super) fn stream<'u, K: Sink>(
             let worker = || (Feed::new(sink(), used, true), PageCache::new(spill));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
-                    feed.gather(*triangle, |t| pages.get(t))?;
+                    feed.gather(*triangle, |v| pages.get(v))?;
                 }
                 Ok(())
             })?;

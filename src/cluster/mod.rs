@@ -208,8 +208,8 @@ pub const BYTES_PER_RAW_FACE: usize = survivors::TRIPLE_BYTES;
 /// Bytes that a worker takes, beside what reading does and [`bytes_per_spill_worker`].
 pub const fn bytes_per_worker() -> usize {
     let taking = faces::BATCH_BYTES + survivors::APPENDER_BYTES + sampling::WORKER_BYTES + corners::FEED_BYTES;
-    let adding = sums::CACHE_BYTES;
-    if taking + adding > corners::BINNING_BYTES { taking + adding } else { corners::BINNING_BYTES }
+    let with_faces = taking + sums::CACHE_BYTES;
+    if with_faces > corners::BINNING_BYTES { with_faces } else { corners::BINNING_BYTES }
 }
 
 /// Bytes that a worker takes for a spill that is not resident.

@@ -78,7 +78,7 @@ impl Evidence<'_> {
     }
 }
 
-/// The sums of some cells, lane by lane.
+/// The sums of some cells, lane by lane in the order of [`LANES`].
 struct Lanes([[f64; AT_ONCE]; LANES]);
 
 impl Lanes {

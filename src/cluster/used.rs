@@ -58,7 +58,7 @@ impl Used {
     }
 }
 
-/// Words that a worker holds back: those of a bucket of 16 M vertices.
+/// Words that a worker holds back: those of a bucket, in a scan of up to 16 M vertices.
 const HELD_BACK: usize = 1024;
 /// Vertices of these.
 pub(super) const MOST_HELD: u64 = 64 * HELD_BACK as u64;
