@@ -8,7 +8,8 @@
 use super::corners::{BATCH, Faces, Sink};
 use super::grid::{COORDINATE_BITS, Corner, FIELD_BITS, LOCAL_BITS, STEPS, absolute, is_far};
 use super::sampling::{SampleWorker, scramble, seed};
-use super::sums::{Gatherer, ONE_CORNER, Plane, Shares, Sums, TOGETHER};
+use super::shares::{ONE_CORNER, Plane, Shares, TOGETHER};
+use super::sums::{Gatherer, Sums};
 use super::survivors::{Appender, Survivors};
 use super::table::CellTable;
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x16, i32x16, prelude::*, u32x16};

@@ -46,6 +46,7 @@ mod grid;
 mod join;
 mod represent;
 mod sampling;
+mod shares;
 mod sizing;
 mod spill;
 mod sums;

@@ -2,7 +2,8 @@
 
 use super::Representative;
 use super::grid::Grid;
-use super::sums::{LANES, Totals};
+use super::shares::LANES;
+use super::sums::Totals;
 use super::table::CellTable;
 use crate::cores::InPieces;
 use crate::mesh::{Coordinate, narrow, widen};

@@ -10,7 +10,7 @@
 
 use super::corners::Faces;
 use super::grid::{Corner, Grid, LOCAL_BITS, STEPS, absolute_near, along, is_far};
-use super::sums::Plane;
+use super::shares::Plane;
 use super::table::{CellTable, mix};
 use crate::error::{Error, Result};
 use crate::mesh::samples::{LEVELS, Lattice, SAMPLE_BYTES, SampleFile, SurfaceSample, fold, level_for};
