@@ -11,6 +11,7 @@ use super::place::optimal;
 use super::rank::LANES;
 use super::surface::{LEAST_COSINE, Surface, turned};
 use crate::cores::InPieces;
+use crate::mesh::adjacency::parts;
 use crate::mesh::marked::Marked;
 use crate::mesh::{Coordinate, narrow, step};
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
@@ -108,7 +109,6 @@ impl<S: Coordinate> Batch<S> {
 
     /// Takes vertices out of their groups until no face folds over that has as many moving corners as `least_moving` or more.
     pub fn take_back_folds(&mut self, surface: &Surface<S>, least_moving: usize) {
-        let faces = surface.faces.len();
         let folded = |this: &Self, faces: &[[u32; 3]]| {
             let mut back = Vec::new();
             dispatch!(Level::new(), simd => this.all_folded(simd, surface, faces, least_moving, &mut back));
@@ -121,34 +121,42 @@ impl<S: Coordinate> Batch<S> {
         if back.is_empty() {
             return;
         }
-        let vertices = surface.positions.len();
-        let (mut leaving, mut changed) = (Marked::below(vertices), Marked::below(vertices));
-        let mut around = Marked::below(faces);
+        let mut leaving = Marked::below(surface.positions.len());
         while !back.is_empty() {
+            back.iter().for_each(|&v| leaving.add(v));
+            let mut leaders: Vec<u32> = back.iter().map(|&v| self.leader(v)).collect();
+            leaders.par_sort_unstable();
+            leaders.dedup();
             let this = &*self;
-            back.par_iter().for_each(|&v| {
-                leaving.add(v);
-                changed.add(this.leader(v));
-            });
-            let shrink = |members: &mut Vec<u32>, leader: u32| {
-                this.members(leader, members);
-                // Only faces at a group that has changed can have changed.
-                members.iter().flat_map(|&v| surface.stars.of(v)).for_each(|corner| around.add(corner >> 2));
-                this.shrink(members, &leaving);
-                (members.len() > 1).then(|| (leader, this.place(surface, members)))
-            };
-            let moved: Vec<_> = changed.all().map_init(Vec::new, shrink).flatten_iter().collect();
-            for (leader, spot) in moved {
+            let shrunk: Vec<_> =
+                leaders.par_chunks(SHRUNK).map(|leaders| this.shrink_some(surface, leaders, &leaving)).collect();
+            for &(leader, spot) in shrunk.iter().flat_map(|shrunk| &shrunk.moved) {
                 self.spots[leader as usize] = spot;
             }
+            back.iter().for_each(|&v| leaving.remove(v));
             let this = &*self;
-            let folded_among = |faces: Vec<u32>| {
-                let faces: Vec<_> = faces.into_iter().map(|f| surface.faces[f as usize]).collect();
+            // Only faces at a group that has changed can have changed.
+            let folded_around = |shrunk: &Shrunk<S>| {
+                let corners = shrunk.members.iter().flat_map(|&v| surface.stars.of(v));
+                let faces: Vec<_> = corners.map(|&corner| surface.faces[parts(corner).0]).collect();
                 folded(this, &faces)
             };
-            back = around.some_at_a_time().flat_map_iter(folded_among).collect();
-            [&mut leaving, &mut changed, &mut around].into_iter().for_each(Marked::clear);
+            back = shrunk.par_iter().flat_map_iter(folded_around).collect();
         }
+    }
+
+    /// Takes those who are `leaving` out of some groups.
+    fn shrink_some(&self, surface: &Surface<S>, leaders: &[u32], leaving: &Marked) -> Shrunk<S> {
+        let (mut shrunk, mut members) = (Shrunk { members: Vec::new(), moved: Vec::new() }, Vec::new());
+        for &leader in leaders {
+            self.members(leader, &mut members);
+            shrunk.members.extend_from_slice(&members);
+            self.shrink(&mut members, leaving);
+            if members.len() > 1 {
+                shrunk.moved.push((leader, self.place(surface, &members)));
+            }
+        }
+        shrunk
     }
 
     /// Takes those who are `leaving` out of their group: the leader, or all but one of the members, only with all others.
@@ -275,6 +283,17 @@ impl<S: Coordinate> Batch<S> {
         &mut self.next
     }
 }
+
+/// Groups that have lost members.
+struct Shrunk<S> {
+    /// Whoever was in one.
+    members: Vec<u32>,
+    /// The leaders of those that are left, and where they go now.
+    moved: Vec<(u32, [S; 3])>,
+}
+
+/// Groups that are made smaller by one task.
+const SHRUNK: usize = 64;
 
 /// Faces that are looked at by one task.
 const CHECKED: usize = 1 << 10;

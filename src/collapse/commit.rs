@@ -183,10 +183,13 @@ fn compact<S: Coordinate>(surface: &mut Surface<S>, numbers: &mut [AtomicU32], [
         shades.keep(numbers.len(), |i| Some(numbers[i].load(Relaxed)).filter(|new| *new != NONE));
     }
     let stays = |v: usize| numbers[v].load(Relaxed) != NONE;
-    keep(learnt, |v, _| stays(v));
-    keep(current, |v, _| stays(v));
-    keep(positions, |v, _| stays(v));
-    keep(&mut pieces.of, |v, _| stays(v));
+    // What a part moves up is moved by one thread, so that two arrays go side by side.
+    let others = || {
+        keep(current, |v, _| stays(v));
+        keep(positions, |v, _| stays(v));
+        keep(&mut pieces.of, |v, _| stays(v));
+    };
+    rayon::join(|| keep(learnt, |v, _| stays(v)), others);
     let kept: Vec<AtomicU8> = bytemuck::zeroed_vec(next as usize);
     marks.par_iter().zip(numbers).zip(changed).in_pieces(4096).for_each(|((mark, number), changed)| {
         if let Some(place) = kept.get(number.load(Relaxed) as usize) {

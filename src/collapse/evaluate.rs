@@ -275,9 +275,10 @@ impl<V: Simd> Form<V> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::collapse::forms::tests::with_roots;
     use crate::collapse::place::optimal;
     use crate::collapse::surface::TOUCHED;
-    use crate::collapse::surface::tests::{bumps, with_roots};
+    use crate::collapse::surface::tests::bumps;
     use crate::quadric::Quadric;
     use crate::vectors::levels;
     use glam::DVec3;

@@ -5,9 +5,10 @@
 
 use super::LEARNT_WEIGHT;
 use super::batch::order;
+use super::forms::plane_through;
 use super::place::{best, optimal};
 use super::policy::{Placement, Quadrics};
-use super::surface::{Around, Candidate, plane_through};
+use super::surface::{Around, Candidate};
 use super::tail::Tail;
 use crate::Result;
 use crate::mesh::{Coordinate, narrow, widen};

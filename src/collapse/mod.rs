@@ -42,6 +42,7 @@ mod classify;
 mod commit;
 mod evaluate;
 mod faces;
+mod forms;
 mod groups;
 mod hold;
 mod join;
