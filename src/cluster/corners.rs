@@ -8,6 +8,7 @@
 use super::buckets::{self, Buckets};
 use super::grid::{Corner, Grid, cell_key, place_in_cell};
 use super::join;
+use super::resident::Resident;
 use super::spill::{Packer, PageCache, Spill, SpillFile};
 use super::table::{CellTable, LastBlock, block_key, place_in_block};
 use super::used::{MARKER_BYTES, MOST_HELD, Marker, Used};
@@ -15,7 +16,6 @@ use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
 use fearless_simd::{Level, Simd, dispatch};
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Faces that are gathered before they are worked on, so that their cache misses overlap; at most so many a delivery.
 pub(super) const BATCH: usize = 512;
@@ -41,9 +41,9 @@ pub(super) type Faces<'a> = [&'a [Corner]; 3];
 /// Where a face's corners come from.
 pub(super) enum Corners<'a> {
     /// From memory.
-    Resident { all: &'a [AtomicU64], coherent: bool },
+    Resident { all: &'a Resident, coherent: bool },
     /// From memory, for faces from buckets.
-    Sorted(&'a [AtomicU64], &'a Buckets),
+    Sorted(&'a Resident, &'a Buckets),
     /// From a spill file through a page cache a worker.
     Paged(&'a SpillFile),
     /// From a spill file by a join that may hold `resident_bytes` of it.
@@ -55,7 +55,8 @@ pub(super) enum Corners<'a> {
 /// A sink with the faces that are on their way to it, and what was found on the way.
 pub(super) struct Feed<'a, K> {
     pub(super) sink: K,
-    used: Marker<'a>,
+    /// Where there is an account of vertices.
+    used: Option<Marker<'a>>,
     /// Faces within a cell from the beginning, those across cells from the end.
     faces: Box<[[Corner; BATCH]; 3]>,
     inside: usize,
@@ -70,13 +71,16 @@ impl<'a, K: Sink> Feed<'a, K> {
     /// Faces that follow one another are neighbours where they are `coherent`.
     pub(super) fn new(sink: K, used: &'a Used, coherent: bool) -> Self {
         let faces = Box::new([[Corner::default(); BATCH]; 3]);
-        Feed { sink, used: Marker::new(used, coherent), faces, inside: 0, across: 0, repeated: 0, nowhere: None }
+        let used = used.is_kept().then(|| Marker::new(used, coherent));
+        Feed { sink, used, faces, inside: 0, across: 0, repeated: 0, nowhere: None }
     }
 
-    /// A face has this vertex.
+    /// A face has these vertices.
     #[inline(always)]
-    pub(super) fn uses(&mut self, vertex: u32) {
-        self.used.add(vertex);
+    pub(super) fn uses(&mut self, vertices: &[u32]) {
+        if let Some(used) = &mut self.used {
+            vertices.iter().for_each(|vertex| used.add(*vertex));
+        }
     }
 
     /// Takes a face along. Whether it is within a cell is as good as random, so this is told without a branch.
@@ -98,7 +102,7 @@ impl<'a, K: Sink> Feed<'a, K> {
     /// Hands over what has gathered, all of it.
     fn finish(&mut self) {
         self.deliver();
-        self.used.flush();
+        self.used.iter_mut().for_each(Marker::flush);
     }
 
     fn deliver(&mut self) {
@@ -119,7 +123,7 @@ impl<'a, K: Sink> Feed<'a, K> {
             self.repeated += 1;
             return Ok(());
         }
-        [a, b, c].into_iter().for_each(|vertex| self.uses(vertex));
+        self.uses(&[a, b, c]);
         let face = [corner(a)?, corner(b)?, corner(c)?];
         if face.contains(&Corner::NOWHERE) {
             for (vertex, corner) in [a, b, c].into_iter().zip(face) {
@@ -162,7 +166,7 @@ pub(super) fn bin_vertices(
         }
         open.write(chunk.first, corners, packer)
     })?;
-    spill.close();
+    spill.close(table.len());
     Ok(())
 }
 
@@ -222,14 +226,6 @@ impl<const N: usize> Split<N> {
     }
 }
 
-/// Has corners that lie anywhere brought near, so that the waits for them overlap.
-#[inline(always)]
-fn fetch(all: &[AtomicU64], used: &Used, triangles: &[[u32; 3]]) {
-    let near = |v: u32| all[v as usize].load(Relaxed) | used.word(v);
-    let gathered = triangles.as_flattened().iter().fold(0, |bits, v| bits | near(*v));
-    std::hint::black_box(gathered);
-}
-
 /// Streams every face of the scan to sinks, one a worker; `used` hears of the vertices.
 pub(super) fn stream<'u, K: Sink>(
     scan: &Scan,
@@ -245,10 +241,10 @@ pub(super) fn stream<'u, K: Sink>(
             |feed, chunk| {
                 for triangles in chunk.triangles.chunks(AT_ONCE) {
                     if !coherent {
-                        fetch(all, used, triangles);
+                        all.fetch(triangles);
                     }
                     for triangle in triangles {
-                        feed.gather(*triangle, |v| Ok(Corner(all[v as usize].load(Relaxed))))?;
+                        feed.gather(*triangle, |v| Ok(all.corner(v)))?;
                     }
                 }
                 Ok(())
@@ -259,7 +255,7 @@ pub(super) fn stream<'u, K: Sink>(
             let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, near)).collect();
             feeds[0].repeated = buckets.repeated;
             buckets.stream(crew, &mut feeds, |feed, form, records| {
-                form.each(records, |triangle| feed.gather(triangle, |v| Ok(Corner(all[v as usize].load(Relaxed)))))
+                form.each(records, |triangle| feed.gather(triangle, |v| Ok(all.corner(v))))
             })?;
             feeds
         }

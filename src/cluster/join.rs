@@ -144,7 +144,7 @@ impl Sweep<'_> {
                     return Ok(());
                 }
                 Some(found) => {
-                    feed.uses(*vertex);
+                    feed.uses(&[*vertex]);
                     *corner = *found;
                 }
                 None => left += 1,

@@ -45,6 +45,7 @@ mod faces;
 mod grid;
 mod join;
 mod represent;
+mod resident;
 mod sampling;
 mod shares;
 mod sizing;
@@ -310,7 +311,6 @@ impl Run<'_> {
         let grid = Grid::new(self.place, self.place.side(sizing) * doubled);
         let room = room(self.options.cells);
         let mut table = CellTable::new(room);
-        let used = Used::within(self.scan, self.options.spill_resident_bytes);
         let resident_bytes = self.spill_resident_bytes();
         let (mut spill, mut ranks) = (None, Vec::new());
         let mut cells = sizing.occupied(grid.cell).max(1.0);
@@ -330,6 +330,10 @@ impl Run<'_> {
             table.keep_keys();
             spill = Some(s);
         }
+        let used = match &spill {
+            Some(Spill::Resident(all)) if all.notes_used() => Used::nothing(),
+            _ => Used::within(self.scan, self.options.spill_resident_bytes),
+        };
         let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
         let mut totals = Totals::new(if spill.is_some() { table.len() } else { room });
         let sums = Sums::of(&mut totals);
@@ -352,7 +356,10 @@ impl Run<'_> {
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
         self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
-        self.stats.unreferenced_vertices = used.unused(self.scan.vertex_count());
+        self.stats.unreferenced_vertices = match &spill {
+            Some(Spill::Resident(all)) if all.notes_used() => Some(all.unused()),
+            _ => used.unused(self.scan.vertex_count()),
+        };
         for mut feed in feeds {
             feed.sink.flush();
         }

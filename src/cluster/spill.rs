@@ -1,4 +1,4 @@
-//! Binned vertices: in memory, 8 bytes each, when they fit; packed in a scratch file when they do not.
+//! Binned vertices: in memory when they fit (`resident.rs`); packed in a scratch file when they do not.
 //!
 //! **Packed.** Vertices that follow one another share cells: each 512 of them, a *strip*, keep a list of their cells,
 //! and a vertex its place in the cell (39 bits) and in that list (9 bits), 6 bytes. The list is written as differences,
@@ -10,6 +10,7 @@
 //! ours, so the resident set stays what the arithmetic says. 16 bytes a lot stay in memory: one for 16,384 vertices.
 
 use super::grid::{Corner, LOCAL_BITS};
+use super::resident::Resident;
 use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -33,7 +34,7 @@ pub(super) const PAGE_CACHE_BYTES: usize = PAGES * (PAGE * 8 + 4) + 3 * STRIP * 
 /// One [`Corner`] a vertex.
 pub(super) enum Spill {
     /// All in memory.
-    Resident(Vec<AtomicU64>),
+    Resident(Resident),
     /// On scratch.
     Filed(SpillFile),
 }
@@ -65,7 +66,7 @@ impl Spill {
     /// A spill for `vertices` vertices, resident if they take at most `resident_bytes`.
     pub(super) fn new(vertices: u64, resident_bytes: u64, scratch: &Scratch) -> Result<Self> {
         if Spill::is_resident(vertices, resident_bytes) {
-            return Ok(Spill::Resident(bytemuck::zeroed_vec(vertices as usize)));
+            return Ok(Spill::Resident(Resident::of(vertices as usize)));
         }
         let (end, fresh) = (AtomicU64::new(0), Mutex::default());
         Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices, end, fresh, lots: Vec::new() }))
@@ -74,21 +75,22 @@ impl Spill {
     /// Stores the corners of consecutive vertices.
     pub(super) fn write(&self, first: u64, corners: &[Corner], packer: &mut Packer) -> Result<()> {
         match self {
-            Spill::Resident(all) => {
-                for (to, corner) in all[first as usize..].iter().zip(corners) {
-                    to.store(corner.0, Relaxed);
-                }
+            Spill::Resident(resident) => {
+                resident.write(first, corners);
                 Ok(())
             }
             Spill::Filed(spill) => spill.write(first, corners, packer),
         }
     }
 
-    /// All are written; now they can be read.
-    pub(super) fn close(&mut self) {
-        if let Spill::Filed(spill) = self {
-            spill.lots = std::mem::take(spill.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
-            spill.lots.sort_unstable();
+    /// All are written, and in so many cells; now they can be read.
+    pub(super) fn close(&mut self, cells: usize) {
+        match self {
+            Spill::Resident(resident) => resident.close(cells),
+            Spill::Filed(spill) => {
+                spill.lots = std::mem::take(spill.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
+                spill.lots.sort_unstable();
+            }
         }
     }
 }
@@ -341,7 +343,7 @@ mod tests {
         for lot in lots.into_iter().rev() {
             spill.write(lot.start as u64, &corners[lot], &mut packer).unwrap();
         }
-        spill.close();
+        spill.close(0);
         match spill {
             Spill::Filed(file) => file,
             Spill::Resident(_) => panic!("it was to be on scratch"),

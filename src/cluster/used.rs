@@ -1,4 +1,5 @@
-//! Which vertices faces use: a bit each, where there is room for that.
+//! Which vertices faces use: a bit each, where there is room for that, and binned vertices do not note it themselves
+//! (`resident.rs`).
 
 use crate::cores::InPieces;
 use crate::read::{Layout, Scan};
@@ -45,16 +46,15 @@ impl Used {
         }
     }
 
-    /// What a vertex's bit is in.
-    #[inline(always)]
-    pub(super) fn word(&self, vertex: u32) -> u64 {
-        self.0.get(vertex as usize / 64).map_or(0, |word| word.load(Relaxed))
+    /// Whether there is an account.
+    pub(super) fn is_kept(&self) -> bool {
+        !self.0.is_empty()
     }
 
     /// How many of `vertices` were not added; `None` without an account.
     pub(super) fn unused(&self, vertices: u64) -> Option<u64> {
         let count = || self.0.iter().map(|word| u64::from(word.load(Relaxed).count_ones())).sum::<u64>();
-        (!self.0.is_empty()).then(|| vertices - count())
+        self.is_kept().then(|| vertices - count())
     }
 }
 
@@ -138,7 +138,8 @@ mod tests {
         other.flush();
         assert_eq!(used.unused(64_000), Some(64_000 - vertices.len() as u64));
         for v in 0..64_000 {
-            assert_eq!(used.word(v) >> (v % 64) & 1 == 1, vertices.binary_search(&v).is_ok(), "{v}");
+            let word = used.0[v as usize / 64].load(Relaxed);
+            assert_eq!(word >> (v % 64) & 1 == 1, vertices.binary_search(&v).is_ok(), "{v}");
         }
     }
 }

@@ -376,8 +376,10 @@ impl Ply {
     ) -> Result<Vec<W>> {
         let local = || (worker(), Vec::new());
         let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
-            record.decode(bytes, self.vertex.count, triangles).map_err(|bad| face_error(input, run, first, bad))?;
-            step(mine, TriangleChunk { first, triangles })
+            run.bites(first, bytes).try_for_each(|(first, bytes)| {
+                record.decode(bytes, self.vertex.count, triangles).map_err(|bad| face_error(input, run, first, bad))?;
+                step(mine, TriangleChunk { first, triangles })
+            })
         })?;
         Ok(locals.into_iter().map(|(mine, _)| mine).collect())
     }

