@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// Set in the word of a vertex that a face has.
 const USED: u64 = 1 << 63;
 
-/// Numbers of so many cells leave [`USED`] free.
-const FEW_CELLS: usize = 1 << 24;
+/// Numbers of so many cells leave [`USED`] free, and set it makes no corner [`Corner::NOWHERE`]: that would be one more.
+const FEW_CELLS: usize = (1 << 24) - 1;
 
 /// One [`Corner`] a vertex.
 pub(super) struct Resident {
