@@ -299,8 +299,8 @@ pub fn collapse<S: Coordinate>(
     let dropped =
         least.map_or(Dropped::default(), |l| pieces::drop_small(&mut mesh, &mut learnt, &mut shades, &mut wedges, l));
     progress.begin(Stage::Collapse, mesh.faces.len().saturating_sub(options.target) as u64);
+    let mut error_sq = learnt.as_deref().map_or(0.0, largest_error_sq);
     let (mut surface, irregularities) = prepare(mesh, learnt, (shades, wedges), &locked, options, progress)?;
-    let mut error_sq = largest_error_sq(&surface.learnt);
     let mut rounds = Rounds::new(options, homes);
     while let Some(round_error_sq) = rounds.turn(&mut surface, progress)? {
         error_sq = error_sq.max(round_error_sq);
@@ -376,7 +376,7 @@ fn prepare<S: Coordinate>(
     Ok((surface, irregularities))
 }
 
-/// The largest error that the vertices come with: clustering's, zero for the scan itself.
+/// The largest error that vertices come with: clustering's. Those of a scan itself have none.
 fn largest_error_sq(learnt: &[PackedQuadric]) -> f64 {
     let error_sq = |q: &PackedQuadric| if q.w > 0.0 { f64::from(q.c) / f64::from(q.w) } else { 0.0 };
     learnt.par_iter().in_pieces(4096).map(error_sq).reduce(|| 0.0, f64::max)
@@ -496,7 +496,8 @@ impl<'a, S: Coordinate> Rounds<'a, S> {
 
     /// Keeps only the cheapest groups of the batch, so that at most `most` vertices go.
     fn hold_back(&mut self, leaders: &mut Vec<u32>, surface: &Surface<S>, most: usize, near: bool) {
-        if self.batch.moving() - leaders.len() <= most {
+        // At most all are moving, which far from the target is seldom too many, and needs no count.
+        if surface.positions.len() - leaders.len() <= most || self.batch.moving() - leaders.len() <= most {
             return;
         }
         let batch = &self.batch;
