@@ -219,7 +219,8 @@ pub const fn bytes_per_spill_worker() -> usize {
     if spill::PAGE_CACHE_BYTES > join::WORKER_BYTES { spill::PAGE_CACHE_BYTES } else { join::WORKER_BYTES }
 }
 
-/// Bytes of the binned vertices of an indexed scan, all of them resident, and what is kept to count those that faces use.
+/// Bytes of the binned vertices of an indexed scan, all of them resident, and of an account of those that faces use, which
+/// is kept where cells are too many to note that beside the vertices.
 pub fn resident_spill_bytes(vertices: u64) -> u64 {
     vertices.saturating_mul(8).saturating_add(used::bytes_for(vertices))
 }
@@ -330,9 +331,10 @@ impl Run<'_> {
             table.keep_keys();
             spill = Some(s);
         }
-        let used = match &spill {
-            Some(Spill::Resident(all)) if all.notes_used() => Used::nothing(),
-            _ => Used::within(self.scan, self.options.spill_resident_bytes),
+        let noting = spill.as_ref().and_then(Spill::noting);
+        let used = match noting {
+            Some(_) => Used::nothing(),
+            None => Used::within(self.scan, self.options.spill_resident_bytes),
         };
         let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
         let mut totals = Totals::new(if spill.is_some() { table.len() } else { room });
@@ -356,10 +358,8 @@ impl Run<'_> {
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
         self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
-        self.stats.unreferenced_vertices = match &spill {
-            Some(Spill::Resident(all)) if all.notes_used() => Some(all.unused()),
-            _ => used.unused(self.scan.vertex_count()),
-        };
+        self.stats.unreferenced_vertices =
+            noting.map_or_else(|| used.unused(self.scan.vertex_count()), |all| Some(all.unused()));
         for mut feed in feeds {
             feed.sink.flush();
         }

@@ -72,6 +72,14 @@ impl Spill {
         Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices, end, fresh, lots: Vec::new() }))
     }
 
+    /// Those in memory, if they note which of them faces have.
+    pub(super) fn noting(&self) -> Option<&Resident> {
+        match self {
+            Spill::Resident(resident) => resident.notes_used().then_some(resident),
+            Spill::Filed(_) => None,
+        }
+    }
+
     /// Stores the corners of consecutive vertices.
     pub(super) fn write(&self, first: u64, corners: &[Corner], packer: &mut Packer) -> Result<()> {
         match self {
