@@ -32,8 +32,6 @@ pub(super) fn bucket_bits(vertices: u64) -> u32 {
 pub(super) struct Buckets {
     /// What each bucket has.
     pub(super) all: Vec<Bucket>,
-    /// How many vertices each is for.
-    pub(super) vertices: u64,
     /// Faces that repeat a vertex.
     pub(super) repeated: u64,
 }
@@ -126,7 +124,7 @@ impl Buckets {
             wide: wide.take(),
         };
         let all = runs[0].iter().zip(&runs[1]).enumerate().map(bucket).collect();
-        Ok(Buckets { all, vertices: 1 << bits, repeated })
+        Ok(Buckets { all, repeated })
     }
 
     /// Has `workers` go through all faces, about a bucket at a time.

@@ -11,7 +11,7 @@ use super::join;
 use super::resident::Resident;
 use super::spill::{Packer, PageCache, Spill, SpillFile};
 use super::table::{CellTable, LastBlock, block_key, place_in_block};
-use super::used::{MARKER_BYTES, MOST_HELD, Marker, Used};
+use super::used::{MARKER_BYTES, Marker, Used};
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
@@ -251,8 +251,7 @@ pub(super) fn stream<'u, K: Sink>(
             },
         )?,
         Corners::Sorted(all, buckets) => {
-            let near = buckets.vertices <= MOST_HELD;
-            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, near)).collect();
+            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
             feeds[0].repeated = buckets.repeated;
             buckets.stream(crew, &mut feeds, |feed, form, records| {
                 form.each(records, |triangle| feed.gather(triangle, |v| Ok(all.corner(v))))

@@ -58,10 +58,8 @@ impl Used {
     }
 }
 
-/// Words that a worker holds back: those of a bucket, in a scan of up to 16 M vertices.
+/// Words that a worker holds back.
 const HELD_BACK: usize = 1024;
-/// Vertices of these.
-pub(super) const MOST_HELD: u64 = 64 * HELD_BACK as u64;
 
 /// Bytes of a [`Marker`].
 pub(super) const MARKER_BYTES: usize = HELD_BACK * (4 + 64);
@@ -82,8 +80,8 @@ struct Held {
 }
 
 impl<'a> Marker<'a> {
-    /// For faces that are `coherent`, which use some [`MOST_HELD`] vertices for a while, or from anywhere: nothing is held
-    /// back of those.
+    /// For faces that are `coherent`, which use the vertices of some [`HELD_BACK`] words for a while, or from anywhere:
+    /// nothing is held back of those.
     pub(super) fn new(used: &'a Used, coherent: bool) -> Self {
         let held = || Held { numbers: Box::new([0; HELD_BACK]), bytes: Box::new([[0; 64]; HELD_BACK]) };
         Marker { used, held: coherent.then(held) }
