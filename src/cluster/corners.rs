@@ -8,7 +8,7 @@
 use super::buckets::{self, Buckets};
 use super::grid::{Corner, Grid, cell_key, place_in_cell};
 use super::join;
-use super::resident::Resident;
+use super::resident::Binned;
 use super::spill::{Packer, PageCache, Spill, SpillFile};
 use super::table::{CellTable, LastBlock, block_key, place_in_block};
 use super::used::{MARKER_BYTES, Marker, Used};
@@ -41,9 +41,9 @@ pub(super) type Faces<'a> = [&'a [Corner]; 3];
 /// Where a face's corners come from.
 pub(super) enum Corners<'a> {
     /// From memory.
-    Resident { all: &'a Resident, coherent: bool },
+    Resident { all: Binned<'a>, coherent: bool },
     /// From memory, for faces from buckets.
-    Sorted(&'a Resident, &'a Buckets),
+    Sorted(Binned<'a>, &'a Buckets),
     /// From a spill file through a page cache a worker.
     Paged(&'a SpillFile),
     /// From a spill file by a join that may hold `resident_bytes` of it.
@@ -147,7 +147,7 @@ pub(super) fn bin_vertices(
     coherent: bool,
     spill: &mut Spill,
 ) -> Result<()> {
-    let open = &*spill;
+    let open = spill.open();
     let worker = || (Vec::<Corner>::new(), Packer::new());
     scan.vertices(crew, worker, |(corners, packer), chunk| {
         if table.is_full() {

@@ -44,6 +44,7 @@ mod corners;
 mod faces;
 mod grid;
 mod join;
+mod pages;
 mod represent;
 mod resident;
 mod sampling;
@@ -71,7 +72,7 @@ use rayon::prelude::*;
 use represent::Evidence;
 use sampling::{SampleWorker, Sampler};
 use sizing::Sizing;
-use spill::Spill;
+use spill::{Opened, Spill};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use sums::{Sums, Totals};
 use survivors::Survivors;
@@ -313,10 +314,12 @@ impl Run<'_> {
         let room = room(self.options.cells);
         let mut table = CellTable::new(room);
         let resident_bytes = self.spill_resident_bytes();
+        // Faces from buckets do, as far as a worker's cache goes.
+        let faces_cohere = self.order == Order::Sensible || self.buckets.is_some();
         let (mut spill, mut ranks) = (None, Vec::new());
         let mut cells = sizing.occupied(grid.cell).max(1.0);
         if self.scan.layout() == Layout::Indexed {
-            let mut s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch)?;
+            let mut s = Spill::new(self.scan.vertex_count(), resident_bytes, self.scratch, faces_cohere)?;
             corners::bin_vertices(self.scan, self.crew, (&grid, &table), self.order != Order::Shuffled, &mut s)?;
             if table.is_full() {
                 drop((table, s));
@@ -331,13 +334,13 @@ impl Run<'_> {
             table.keep_keys();
             spill = Some(s);
         }
-        let noting = spill.as_ref().and_then(Spill::noting);
-        let used = match noting {
-            Some(_) => Used::nothing(),
-            None => Used::within(self.scan, self.options.spill_resident_bytes),
+        let used = match spill.as_ref().is_some_and(Spill::notes_used) {
+            true => Used::nothing(),
+            false => Used::within(self.scan, self.options.spill_resident_bytes),
         };
         let quantum = self.coarser_weights * quantum(sizing.area(grid.cell) / cells);
-        let mut totals = Totals::new(if spill.is_some() { table.len() } else { room });
+        let mut totals = Totals::new(if spill.is_some() { table.len() } else { room }, faces_cohere)
+            .map_err(Error::io(self.scan.path(), "there is no memory for what its cells learn"))?;
         let sums = Sums::of(&mut totals);
         let survivors = Survivors::new(self.options.raw_faces);
         let sampler = match self.options.samples {
@@ -348,18 +351,16 @@ impl Run<'_> {
                 Some(Sampler::new((&grid, &table), lattice, area, wanted, self.scratch)?)
             }
         };
-        // Faces from buckets are, as far as a worker's cache goes.
-        let coherent = self.order == Order::Sensible || self.buckets.is_some();
         let worker = || {
             let samples = sampler.as_ref().map(SampleWorker::new);
-            FaceWorker::new(&table, &sums, &survivors, samples, quantum, coherent)
+            FaceWorker::new(&table, &sums, &survivors, samples, quantum, faces_cohere)
         };
-        let feeds = corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &used, worker)?;
+        let feeds = corners::stream(self.scan, self.crew, &self.corners(spill.as_mut(), &grid, &table), &used, worker)?;
         self.check(&feeds)?;
         self.stats.repeated_corner_faces = feeds.iter().map(|feed| feed.repeated).sum();
         self.stats.flat_faces = feeds.iter().map(|feed| feed.sink.flat_faces).sum();
         self.stats.unreferenced_vertices =
-            noting.map_or_else(|| used.unused(self.scan.vertex_count()), |all| Some(all.unused()));
+            spill.as_ref().and_then(Spill::unused).or_else(|| used.unused(self.scan.vertex_count()));
         for mut feed in feeds {
             feed.sink.flush();
         }
@@ -428,14 +429,14 @@ impl Run<'_> {
         if error.file() == Some(self.scratch.folder()) { Ok(None) } else { Err(error) }
     }
 
-    fn corners<'b>(&'b self, spill: &'b Option<Spill>, grid: &'b Grid, table: &'b CellTable) -> Corners<'b> {
+    fn corners<'b>(&'b self, spill: Option<&'b mut Spill>, grid: &'b Grid, table: &'b CellTable) -> Corners<'b> {
         let coherent = self.order == Order::Sensible;
-        match (spill, &self.buckets) {
+        match (spill.map(Spill::open), &self.buckets) {
             (None, _) => Corners::Soup(grid, table),
-            (Some(Spill::Resident(all)), Some(buckets)) => Corners::Sorted(all, buckets),
-            (Some(Spill::Resident(all)), None) => Corners::Resident { all, coherent },
-            (Some(Spill::Filed(spill)), _) if coherent => Corners::Paged(spill),
-            (Some(Spill::Filed(spill)), _) => {
+            (Some(Opened::Resident(all)), Some(buckets)) => Corners::Sorted(all, buckets),
+            (Some(Opened::Resident(all)), None) => Corners::Resident { all, coherent },
+            (Some(Opened::Filed(spill)), _) if coherent => Corners::Paged(spill),
+            (Some(Opened::Filed(spill)), _) => {
                 let resident_bytes = self.options.spill_resident_bytes;
                 Corners::Joined { spill, scratch: self.scratch, resident_bytes }
             }
@@ -463,7 +464,7 @@ impl Run<'_> {
 
     /// Holds borders, places representatives.
     fn finish<S: Coordinate>(mut self, learnt: Learnt) -> Result<Clustered<S>> {
-        let Learnt { grid, mut table, spill, quantum, mut totals, ranks, samples, mut triples } = learnt;
+        let Learnt { grid, mut table, mut spill, quantum, mut totals, ranks, samples, mut triples } = learnt;
         let frame = self.place.frame();
         self.stats.occupied_cells = ranks.len() as u64;
         self.stats.outgrown_cells = totals.outgrown() as u64;
@@ -473,7 +474,8 @@ impl Run<'_> {
         for ranks_together in border::shares(&open, self.open_at_once(triples.len(), ranks.len())) {
             let borders = Borders::new(&open, &ranks, ranks_together);
             let worker = || BorderWorker { table: &table, borders: &borders };
-            corners::stream(self.scan, self.crew, &self.corners(&spill, &grid, &table), &Used::nothing(), worker)?;
+            let corners = self.corners(spill.as_mut(), &grid, &table);
+            corners::stream(self.scan, self.crew, &corners, &Used::nothing(), worker)?;
             borders.add_to(&mut totals, self.options.boundary_weight, quantum);
         }
         drop((spill, self.buckets.take()));

@@ -10,7 +10,7 @@
 //! ours, so the resident set stays what the arithmetic says. 16 bytes a lot stay in memory: one for 16,384 vertices.
 
 use super::grid::{Corner, LOCAL_BITS};
-use super::resident::Resident;
+use super::resident::{Binned, Resident};
 use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -39,6 +39,14 @@ pub(super) enum Spill {
     Filed(SpillFile),
 }
 
+/// The same while workers write to it, or ask for corners.
+pub(super) enum Opened<'a> {
+    /// All in memory.
+    Resident(Binned<'a>),
+    /// On scratch.
+    Filed(&'a SpillFile),
+}
+
 /// The scratch file of a [`Spill`].
 pub(super) struct SpillFile {
     file: ScratchFile,
@@ -63,31 +71,36 @@ impl Spill {
         vertices.saturating_mul(8) <= resident_bytes
     }
 
-    /// A spill for `vertices` vertices, resident if they take at most `resident_bytes`.
-    pub(super) fn new(vertices: u64, resident_bytes: u64, scratch: &Scratch) -> Result<Self> {
-        if Spill::is_resident(vertices, resident_bytes) {
-            return Ok(Spill::Resident(Resident::of(vertices as usize)));
+    /// A spill for `vertices` vertices, resident if they take at most `resident_bytes` and the system gives them. Faces have
+    /// them in a sensible order, if they are `coherent`.
+    pub(super) fn new(vertices: u64, resident_bytes: u64, scratch: &Scratch, coherent: bool) -> Result<Self> {
+        if Spill::is_resident(vertices, resident_bytes)
+            && let Ok(resident) = Resident::of(vertices, coherent)
+        {
+            return Ok(Spill::Resident(resident));
         }
         let (end, fresh) = (AtomicU64::new(0), Mutex::default());
         Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices, end, fresh, lots: Vec::new() }))
     }
 
-    /// Those in memory, if they note which of them faces have.
-    pub(super) fn noting(&self) -> Option<&Resident> {
+    /// Opens it to workers.
+    pub(super) fn open(&mut self) -> Opened<'_> {
         match self {
-            Spill::Resident(resident) => resident.notes_used().then_some(resident),
-            Spill::Filed(_) => None,
+            Spill::Resident(resident) => Opened::Resident(resident.open()),
+            Spill::Filed(spill) => Opened::Filed(spill),
         }
     }
 
-    /// Stores the corners of consecutive vertices.
-    pub(super) fn write(&self, first: u64, corners: &[Corner], packer: &mut Packer) -> Result<()> {
+    /// Whether the vertices that faces have are noted when their corners are asked for.
+    pub(super) fn notes_used(&self) -> bool {
+        matches!(self, Spill::Resident(resident) if resident.notes_used())
+    }
+
+    /// How many vertices no face has, if that is noted.
+    pub(super) fn unused(&self) -> Option<u64> {
         match self {
-            Spill::Resident(resident) => {
-                resident.write(first, corners);
-                Ok(())
-            }
-            Spill::Filed(spill) => spill.write(first, corners, packer),
+            Spill::Resident(resident) => resident.unused(),
+            Spill::Filed(_) => None,
         }
     }
 
@@ -99,6 +112,19 @@ impl Spill {
                 spill.lots = std::mem::take(spill.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
                 spill.lots.sort_unstable();
             }
+        }
+    }
+}
+
+impl Opened<'_> {
+    /// Stores the corners of consecutive vertices.
+    pub(super) fn write(&self, first: u64, corners: &[Corner], packer: &mut Packer) -> Result<()> {
+        match self {
+            Opened::Resident(binned) => {
+                binned.write(first, corners);
+                Ok(())
+            }
+            Opened::Filed(spill) => spill.write(first, corners, packer),
         }
     }
 }
@@ -339,7 +365,7 @@ mod tests {
 
     /// Writes lots of all lengths, last lots first.
     fn filed(corners: &[Corner], folder: &std::path::Path) -> SpillFile {
-        let mut spill = Spill::new(corners.len() as u64, 0, &Scratch::in_folder(folder)).unwrap();
+        let mut spill = Spill::new(corners.len() as u64, 0, &Scratch::in_folder(folder), true).unwrap();
         let mut packer = Packer::new();
         let mut lots = Vec::new();
         let (mut first, mut length) = (0, 1);
@@ -349,7 +375,7 @@ mod tests {
             (first, length) = (end, length * 7 % 16_385 + 1);
         }
         for lot in lots.into_iter().rev() {
-            spill.write(lot.start as u64, &corners[lot], &mut packer).unwrap();
+            spill.open().write(lot.start as u64, &corners[lot], &mut packer).unwrap();
         }
         spill.close(0);
         match spill {

@@ -11,6 +11,7 @@
 //! workers wait until they have some contributions to one. Where faces come in scan order they hit the same cell many times
 //! in a row: each worker gathers these in a small write-back cache first.
 
+use super::pages::Pages;
 use super::shares::{LANES, PADDED, PADDED_WEIGHT, Plane, Shares, TOGETHER, padded, quanta, row};
 use crate::cores::InPieces;
 use fearless_simd::{Simd, i32x16, prelude::*};
@@ -54,14 +55,14 @@ pub(super) const CACHE_BYTES: usize =
     CACHED * (size_of::<Line>() + size_of::<Owner>()) + REGIONS * size_of::<Waiting>();
 
 /// A cell's sums, or what is added to them, in the order of a contribution.
-#[derive(Clone, Copy)]
-#[repr(align(64))]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C, align(64))]
 struct Line([i32; PADDED]);
 
 /// The sums of all cells.
 pub(super) struct Totals {
     /// One region's after the other.
-    lines: Vec<Line>,
+    lines: Pages<Line>,
     side: FxHashMap<u32, [i64; LANES]>,
 }
 
@@ -235,7 +236,7 @@ impl<'a> Sums<'a> {
     pub(super) fn of(totals: &'a mut Totals) -> Self {
         let cells = totals.lines.len();
         let most_aside = cells / ASIDE + 1024;
-        let mut rest = totals.lines.as_mut_slice();
+        let mut rest = &mut *totals.lines;
         let mut next = |region: usize| {
             let (lines, later) =
                 std::mem::take(&mut rest).split_at_mut(begin(region + 1, cells) - begin(region, cells));
@@ -299,11 +300,12 @@ fn fetch<'a>(lines: impl Iterator<Item = &'a Line>) {
 }
 
 impl Totals {
-    /// Sums of zero for `cells` cells.
-    pub(super) fn new(cells: usize) -> Self {
+    /// Sums of zero for `cells` cells, which faces touch in a sensible order or in none. Fails if there is no memory.
+    pub(super) fn new(cells: usize, coherent: bool) -> std::io::Result<Self> {
+        let mut lines = Pages::zeroed(cells, coherent)?;
         // Written, since what is looked at first is mapped twice.
-        let lines = (0..cells).into_par_iter().in_pieces(4096).map(|_| Line([0; PADDED])).collect();
-        Totals { lines, side: FxHashMap::default() }
+        lines.par_iter_mut().in_pieces(4096).for_each(|line| *line = Line([0; PADDED]));
+        Ok(Totals { lines, side: FxHashMap::default() })
     }
 
     fn place(&self, cell: u32) -> usize {
@@ -409,7 +411,7 @@ mod tests {
     }
 
     fn gather(level: Level, shares: &[Share], workers: usize) -> (Vec<[i64; LANES]>, usize) {
-        let mut totals = Totals::new(5000);
+        let mut totals = Totals::new(5000, true).unwrap();
         let sums = Sums::of(&mut totals);
         std::thread::scope(|scope| {
             for part in shares.chunks(shares.len().div_ceil(workers)) {
@@ -449,7 +451,7 @@ mod tests {
     #[test]
     fn every_cell_has_a_line_of_its_own() {
         for cells in [0, 1, 17, 511, 512, 513, 5000] {
-            let mut totals = Totals::new(cells as usize);
+            let mut totals = Totals::new(cells as usize, false).unwrap();
             let mut places: Vec<usize> = (0..cells).map(|cell| totals.place(cell)).collect();
             places.sort_unstable();
             assert!(places.into_iter().eq(0..cells as usize));
