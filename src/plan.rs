@@ -31,6 +31,7 @@
 //! | first sweep | 99 (120) a face of a tile, and 20 a sample of it |
 //! | sweeps after it | the same of what is left, 44 a sample |
 //! | last step | 180 a face of a tile's result, 44 a sample; 20 a face of the whole for the collapses that are chosen from |
+//! | sweeps and last step | the same again for the tile before and the tile after, where that fits |
 //! | joining, writing | 18 (24) a face of the result |
 
 use crate::budget::MIB;
@@ -133,6 +134,12 @@ pub enum Way {
 pub struct TilePlan {
     /// Faces of the scan in a tile, at most.
     pub faces: u64,
+    /// Bytes for tiles that are in memory together.
+    pub bytes: u64,
+    /// Bytes that a tile of the scan takes for each of its faces, while it is loaded and collapsed.
+    pub first_face_bytes: u64,
+    /// The same of a tile of what is left of it, until it is part of the result.
+    pub later_face_bytes: u64,
     /// Samples of the scan, 0 for none.
     pub samples: u64,
     /// Bytes that each of those who cut may hold back.
@@ -364,7 +371,8 @@ impl Purse {
         let first = (collapse + 20.0 * samples * share).max(tiles::loading_bytes::<S>() as f64);
         let later = collapse.max(tiles::loading_bytes::<S>() as f64) + 44.0 * samples;
         let last = refit::BYTES_A_FACE as f64 + (SAMPLE_BYTES + 4 + refit::BYTES_A_SAMPLE as usize) as f64 * samples;
-        let a_face = first.max(TILE_SLACK * share * later.max(last));
+        let later = later.max(last);
+        let a_face = first.max(TILE_SLACK * share * later);
         let whole = (12.0 + 1.5 * size_of::<S>() as f64) * target as f64;
         let arrays = self.for_arrays() as f64;
         let left = arrays - TILE_LISTS_BYTES - PROPOSAL_BYTES * target as f64;
@@ -378,6 +386,9 @@ impl Purse {
             && share * faces as f64 >= LEAST_TILE_FACES;
         fits.then(|| TilePlan {
             faces,
+            bytes: left as u64,
+            first_face_bytes: first.ceil() as u64,
+            later_face_bytes: later.ceil() as u64,
             samples: (samples * target as f64) as u64,
             writer_bytes: streaming / 4 / workers,
             position_bytes: streaming / 4,

@@ -27,6 +27,13 @@ pub(super) struct Kept {
     samples: usize,
 }
 
+impl Kept {
+    /// Its faces, what will be collapsed among them.
+    pub fn faces(&self) -> u64 {
+        self.faces as u64
+    }
+}
+
 /// A collapse that could be done in a tile.
 pub(super) struct Offer<S> {
     pub tile: u32,

@@ -16,6 +16,7 @@
 //! other side that too little is left, all is begun again, with what was learnt.
 
 mod kept;
+mod line;
 mod pilot;
 mod search;
 mod trial;
@@ -29,9 +30,11 @@ use crate::mesh::{Coordinate, Frame, IndexedMesh, SurfaceSamples, Wedges};
 use crate::plan::TilePlan;
 use crate::progress::Stage;
 use crate::refit::{Aim, Held, refit};
-use crate::tiles::{self, Blocks, Cut, Lie, Partition, SampleStore};
-use kept::{Joined, Tiled, apply};
+use crate::tiles::{self, Blocks, Cut, Lie, Partition, Place, SampleStore};
+use kept::{Joined, Kept, Offer, Tiled, apply};
+use line::{Done, Line, Waiting};
 use search::Search;
+use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::time::Instant;
 use trial::Found;
@@ -118,6 +121,27 @@ impl Threshold {
     fn search(self) -> Search {
         if self.is_flat() { Search::of_floor() } else { Search::of_cost() }
     }
+}
+
+/// A tile that was collapsed, and its samples.
+type Sampled<S> = (Collapsed<S>, Vec<SurfaceSample>);
+
+impl<S: Coordinate> Done for Sampled<S> {
+    fn faces(&self) -> u64 {
+        self.0.mesh.faces.len() as u64
+    }
+}
+
+/// A tile that is as it will be, and its locked vertices.
+impl<S: Coordinate> Done for (IndexedMesh<S>, Vec<u32>) {
+    fn faces(&self) -> u64 {
+        self.0.faces.len() as u64
+    }
+}
+
+/// All tiles of a partition.
+fn waiting(tiles: BTreeMap<u64, Place>) -> Vec<Waiting<(u64, Place)>> {
+    tiles.into_iter().map(|place| Waiting { faces: place.1.faces(), place }).collect()
 }
 
 /// A mesh between two sweeps.
@@ -271,24 +295,33 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let mut between = self.nothing_between()?;
         let rate = self.plan.samples as f64 / self.cut.area().max(f64::MIN_POSITIVE);
         let lie = Lie::Straight;
-        for (tile, place) in scan.tiles(lie) {
-            if place.faces() > self.plan.faces {
-                let path = self.run.scan.path().display();
-                let what = format!("{path}: a tile has {} faces, more than fit this budget", place.faces());
-                return Err(Error::Budget { what, needed_bytes: self.run.purse.in_core_budget::<S>(self.run.scan) });
-            }
-            let loaded = scan.load(lie, tile, &place)?;
-            let samples = tiles::draw(&loaded.mesh, &self.lattice, rate);
-            let (collapsed, samples) = self.tile(loaded, samples, self.cut.faces, threshold, false)?;
-            between.add(&self.blocks, &collapsed, &samples)?;
+        let tiles = waiting(scan.tiles(lie));
+        if let Some(tile) = tiles.iter().find(|tile| tile.faces > self.plan.faces) {
+            let path = self.run.scan.path().display();
+            let what = format!("{path}: a tile has {} faces, more than fit this budget", tile.faces);
+            return Err(Error::Budget { what, needed_bytes: self.run.purse.in_core_budget::<S>(self.run.scan) });
         }
+        let load = |(tile, place): &(u64, Place)| {
+            let loaded = scan.load(lie, *tile, place)?;
+            let samples = tiles::draw(&loaded.mesh, &self.lattice, rate);
+            Ok((loaded, samples))
+        };
+        let collapse = |(loaded, samples)| self.tile(loaded, samples, self.cut.faces, threshold, false);
+        let line = Line { face_bytes: self.plan.first_face_bytes, ..self.line() };
+        line.run(&tiles, load, collapse, |(collapsed, samples)| between.add(&self.blocks, &collapsed, &samples))?;
         Ok(between)
+    }
+
+    /// What memory holds of tiles after the first sweep.
+    fn line(&self) -> Line {
+        let face_bytes = self.plan.later_face_bytes;
+        Line { bytes: self.plan.bytes, face_bytes, done_face_bytes: face_bytes }
     }
 
     /// Collapses the tiles of what another sweep has left.
     fn sweep(&self, between: &Between<S>, lie: Lie, threshold: Threshold) -> Result<Between<S>> {
         let mut next = self.nothing_between()?;
-        self.each(between, lie, threshold, false, |collapsed, samples| next.add(&self.blocks, &collapsed, &samples))?;
+        self.each(between, lie, threshold, false, |(collapsed, samples)| next.add(&self.blocks, &collapsed, &samples))?;
         next.error += between.error;
         Ok(next)
     }
@@ -296,7 +329,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     /// The same, and asks what would be next.
     fn last_sweep(&self, between: &Between<S>, lie: Lie, threshold: Threshold) -> Result<Tiled<S>> {
         let mut tiled = Tiled::new(&self.run.scratch)?;
-        self.each(between, lie, threshold, true, |collapsed, samples| tiled.keep(collapsed, &samples))?;
+        self.each(between, lie, threshold, true, |(collapsed, samples)| tiled.keep(collapsed, &samples))?;
         tiled.error += between.error;
         Ok(tiled)
     }
@@ -314,16 +347,16 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         lie: Lie,
         threshold: Threshold,
         proposes: bool,
-        mut take: impl FnMut(Collapsed<S>, Vec<SurfaceSample>) -> Result<()>,
+        take: impl FnMut(Sampled<S>) -> Result<()> + Send,
     ) -> Result<()> {
         let samples_of = between.samples.tiles(lie);
-        for (tile, place) in between.mesh.tiles(lie) {
-            let loaded = between.mesh.load(lie, tile, &place)?;
-            let samples = between.samples.load(samples_of.of(tile), &loaded)?;
-            let (collapsed, samples) = self.tile(loaded, samples, between.faces, threshold, proposes)?;
-            take(collapsed, samples)?;
-        }
-        Ok(())
+        let load = |(tile, place): &(u64, Place)| {
+            let loaded = between.mesh.load(lie, *tile, place)?;
+            let samples = between.samples.load(samples_of.of(*tile), &loaded)?;
+            Ok((loaded, samples))
+        };
+        let collapse = |(loaded, samples)| self.tile(loaded, samples, between.faces, threshold, proposes);
+        self.line().run(&waiting(between.mesh.tiles(lie)), load, collapse, take)
     }
 
     /// Collapses a tile of a mesh of `whole` faces; samples go where their vertices go.
@@ -334,7 +367,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         whole: u64,
         threshold: Threshold,
         proposes: bool,
-    ) -> Result<(Collapsed<S>, Vec<SurfaceSample>)> {
+    ) -> Result<Sampled<S>> {
         let tiles::Tile { mesh, locked, .. } = tile;
         let before = mesh.faces.len();
         let homes = samples.iter().map(|sample| sample.near).collect();
@@ -352,20 +385,27 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         let unseen = self.run.progress.unseen();
         let mut joined = Joined::new(&self.run.scratch)?;
         let mut offers = chosen.as_slice();
+        let mut tiles = Vec::with_capacity(tiled.tiles.len());
         for (number, kept) in tiled.tiles.iter().enumerate() {
-            self.run.progress.check()?;
             let (mine, rest) = offers.split_at(offers.partition_point(|offer| offer.tile as usize <= number));
             offers = rest;
+            tiles.push(Waiting { faces: kept.faces(), place: (kept, mine) });
+        }
+        let area = self.cut.area() / (self.plan.samples as f64).max(1.0);
+        let load = |(kept, mine): &(&Kept, &[Offer<S>])| {
+            self.run.progress.check()?;
             let (mut mesh, mut locked, mut samples) = tiled.load(kept)?;
             apply(&mut mesh, &mut locked, &mut samples, mine);
-            let area = self.cut.area() / (self.plan.samples as f64).max(1.0);
-            let samples = SurfaceSamples::sorted(samples, self.lattice, area);
+            Ok((mesh, locked, SurfaceSamples::sorted(samples, self.lattice, area)))
+        };
+        let fit = |(mut mesh, locked, samples): (IndexedMesh<S>, Vec<u32>, SurfaceSamples)| {
             let aim = Aim { reference: None, samples: Some(&samples) };
             let held = Held { locked: &locked, wedges: &mut Wedges::default() };
             refit(&mut mesh, &aim, self.run.job.refit_rounds, held, &unseen)?;
-            joined.add(&mesh, &locked)?;
             self.run.progress.add(1);
-        }
+            Ok((mesh, locked))
+        };
+        self.line().run(&tiles, load, fit, |(mesh, locked)| joined.add(&mesh, &locked))?;
         drop((tiled, chosen));
         joined.into_mesh()
     }

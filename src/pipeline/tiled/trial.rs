@@ -1,10 +1,11 @@
 //! The threshold of the next sweep, from some of its tiles.
 
+use super::line::Done;
 use super::search::Search;
-use super::{Between, MOST_AT_CUTS, Mill, NEAR_END, SPARE, SPARE_AT_END, Threshold};
+use super::{Between, MOST_AT_CUTS, Mill, NEAR_END, SPARE, SPARE_AT_END, Threshold, waiting};
 use crate::error::Result;
 use crate::mesh::Coordinate;
-use crate::tiles::{Lie, Place};
+use crate::tiles::{Lie, Place, Tile};
 
 /// The share of a sweep's tiles that it is tried on, one in so many, and the fewest, where there are as many. What they
 /// leave of their faces is what all leave of theirs to 1 %.
@@ -46,19 +47,25 @@ impl<S: Coordinate> Mill<'_, S> {
     /// Finds the next threshold, for what a sweep to `last` has left: one that leaves [`SPARE_AT_END`] times what is asked
     /// for, or [`SPARE`] times where what is at the cuts would stand out.
     pub(super) fn trial(&self, between: &Between<S>, lie: Lie, last: Threshold, learnt: &Search) -> Result<Found> {
-        let tiles: Vec<(u64, Place)> = between.mesh.tiles(lie).into_iter().collect();
+        let tiles = waiting(between.mesh.tiles(lie));
         let every = (tiles.len() / LEAST_TILES).clamp(1, ONE_IN);
         let some: Vec<_> = tiles.into_iter().skip(every / 2).step_by(every).collect();
-        let before: u64 = some.iter().map(|(_, place)| place.faces()).sum();
+        let before: u64 = some.iter().map(|tile| tile.faces).sum();
         let asked = self.asked as f64 * before as f64 / between.faces.max(1) as f64;
+        let load = |(tile, place): &(u64, Place)| {
+            self.run.progress.check()?;
+            between.mesh.load(lie, *tile, place)
+        };
         let leaves = |threshold: Threshold| -> Result<f64> {
             let mut left = 0;
-            for (tile, place) in &some {
-                self.run.progress.check()?;
-                let loaded = between.mesh.load(lie, *tile, place)?;
-                let held = (loaded.locked, Vec::new());
-                left += self.part(loaded.mesh, held, between.faces, threshold, false)?.mesh.faces.len();
-            }
+            let collapse = |tile: Tile<S>| {
+                let held = (tile.locked, Vec::new());
+                Ok((self.part(tile.mesh, held, between.faces, threshold, false)?, Vec::new()))
+            };
+            self.line().run(&some, load, collapse, |sampled| {
+                left += sampled.faces();
+                Ok(())
+            })?;
             Ok(left as f64 / asked)
         };
         let mut threshold = last.among(between.faces, self.asked);
