@@ -14,6 +14,8 @@ if [[ -z $program ]]; then
     cargo build --release --quiet
     program=target/release/meshmill
 fi
+# Otherwise the program would start once more to set these, unseen.
+export GLIBC_TUNABLES=glibc.malloc.mmap_threshold=4194304
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 

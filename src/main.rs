@@ -1,6 +1,7 @@
 //! The `meshmill` program: arguments in, exit code out. Nothing else prints.
 
 mod cli;
+mod heap;
 mod night;
 mod terminal;
 
@@ -16,7 +17,7 @@ use std::time::Instant;
 
 use cli::{BenchArgs, BenchCommand, Cli, Command, CompareArgs, InspectArgs, RenderArgs, RunArgs, SynthArgs};
 use meshmill::bench::{Table63Options, table_6_3};
-use meshmill::job::{ComparisonSaid, InspectionSaid, JobFile, RenderingSaid, cores};
+use meshmill::job::{ComparisonSaid, DEFAULT_MEMORY, InspectionSaid, JobFile, RenderingSaid, cores};
 use meshmill::progress::Progress;
 use meshmill::queue::this_program;
 use meshmill::report::{ComparisonReport, Failure, MeshFile, Synthesis, json};
@@ -26,7 +27,7 @@ use meshmill::{Error, Result, pipeline, synth};
 fn main() -> ExitCode {
     let args: Vec<OsString> = std::env::args_os().collect();
     match Cli::try_parse_from(&args) {
-        Ok(Cli { command: Command::Reduce(args) }) => reduce((*args).into()),
+        Ok(Cli { command: Command::Reduce(args) }) => bounded((*args).into()),
         Ok(Cli { command: Command::Run(args) }) => run(args),
         Ok(Cli { command: Command::Compare(args) }) => compare(args),
         Ok(Cli { command: Command::Inspect(args) }) => inspect(args),
@@ -34,7 +35,11 @@ fn main() -> ExitCode {
         Ok(Cli { command: Command::Render(args) }) => render(args),
         Ok(Cli { command: Command::Report(args) }) => night::merge(args),
         Ok(Cli { command: Command::Bench(args) }) => bench(args),
-        Ok(Cli { command: Command::Worker(args) }) => night::work(&args),
+        Ok(Cli { command: Command::Worker(args) }) => {
+            // Of many scans with budgets of their own.
+            heap::bound(DEFAULT_MEMORY.0);
+            night::work(&args)
+        }
         Err(error) => refuse(&error, asks_for_json(&args)),
     }
 }
@@ -55,6 +60,12 @@ impl Saying {
     fn new(object: String, lines: Vec<String>) -> Self {
         Saying { object, lines, unmet: None, stdout_is_taken: false, code: 1 }
     }
+}
+
+/// Reduces one scan, with the heap bound by its budget.
+fn bounded(said: JobFile) -> ExitCode {
+    heap::bound(said.run.memory.unwrap_or(DEFAULT_MEMORY).0);
+    reduce(said)
 }
 
 fn reduce(said: JobFile) -> ExitCode {
@@ -83,7 +94,12 @@ fn run(args: RunArgs) -> ExitCode {
                 let what = "--shard and --only are for many scans, and this job file has one";
                 return conclude(Err(Error::Usage { what: what.into(), file: Some(args.job) }), in_json);
             }
-            if args.dry_run { conclude(dry_run(said), in_json) } else { reduce(said) }
+            match args.dry_run {
+                true => conclude(dry_run(said), in_json),
+                // What came through a pipe cannot be read again.
+                false if args.job.is_file() => bounded(said),
+                false => reduce(said),
+            }
         }
         Err(error) => conclude(Err(error), args.json),
     }

@@ -312,10 +312,11 @@ impl<'a, S: Coordinate> Mill<'a, S> {
         Ok(between)
     }
 
-    /// What memory holds of tiles after the first sweep.
+    /// What memory holds of tiles after the first sweep, beside what one that is put away is sorted in.
     fn line(&self) -> Line {
         let face_bytes = self.plan.later_face_bytes;
-        Line { bytes: self.plan.bytes, face_bytes, done_face_bytes: face_bytes }
+        let bytes = self.plan.bytes.saturating_sub(self.plan.writer_bytes);
+        Line { bytes, face_bytes, done_face_bytes: face_bytes }
     }
 
     /// Collapses the tiles of what another sweep has left.
