@@ -2,6 +2,13 @@
 
 use crate::support::{Folder, Kind, torus};
 use std::path::{Path, PathBuf};
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+use {
+    crate::support::program,
+    std::io::Write,
+    std::process::Stdio,
+    std::time::{Duration, Instant},
+};
 
 /// The same 120,000 faces in every form, and a scan of 600,000.
 fn scans(folder: &Folder) -> Vec<PathBuf> {
@@ -85,4 +92,32 @@ fn in_core_a_face_takes_90_bytes_at_most() {
     let peak = outcome.object["peak_rss_bytes"].as_u64().unwrap();
     let program = 15 << 20;
     assert!(peak <= 90 * 2_000_000 + program, "{peak} resident");
+}
+
+/// While it waits for its scan it has started once more, with what the allocator may keep set; what else is set stays.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[test]
+fn the_heap_is_bound_by_the_budget() {
+    const BOUNDS: &str = "glibc.malloc.mmap_threshold=524288:glibc.malloc.trim_threshold=524288";
+    let folder = Folder::new();
+    let scan = std::fs::read(folder.scan("torus", &torus(60, 40), Kind::Floats)).unwrap();
+    let others = "glibc.malloc.arena_max=3";
+    let chosen = "glibc.malloc.mmap_threshold=1048576";
+    for (given, then) in [("", BOUNDS.into()), (others, format!("{others}:{BOUNDS}")), (chosen, chosen.to_string())] {
+        let mut command = program();
+        command.args(["reduce", "-", "--faces", "500", "--memory", "64MiB", "-o"]).arg(folder.path("out.ply"));
+        command.env("GLIBC_TUNABLES", given).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let has_bounds = || {
+            let all = std::fs::read(format!("/proc/{}/environ", child.id())).unwrap();
+            all.split(|byte| *byte == 0).any(|one| one == format!("GLIBC_TUNABLES={then}").as_bytes())
+        };
+        let begun = Instant::now();
+        while !has_bounds() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "{given}: no {then}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        child.stdin.take().unwrap().write_all(&scan).unwrap();
+        assert!(child.wait().unwrap().success());
+    }
 }
