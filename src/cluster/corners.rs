@@ -156,10 +156,11 @@ pub(super) fn bin_vertices(
         corners.clear();
         let (mut last, mut split) = (LastBlock::default(), Split::<AT_ONCE>::nothing());
         for positions in chunk.positions.chunks(AT_ONCE) {
-            if !coherent {
-                table.fetch_numbers(positions.iter().filter_map(|p| grid.steps(*p)));
+            let is_split = split.take(grid, positions);
+            if is_split && !coherent {
+                table.fetch_numbers(&split.blocks, &split.cells);
             }
-            match split.take(grid, positions) {
+            match is_split {
                 true => corners.extend((0..AT_ONCE).map(|i| split.bin(i, table, &mut last).unwrap_or_default())),
                 false => corners.extend(positions.iter().map(|p| bin(grid, table, *p, &mut last).unwrap_or_default())),
             }

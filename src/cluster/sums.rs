@@ -26,13 +26,15 @@ const LIMIT: i64 = (1 << 31) - (1 << 20);
 /// times the area that the whole scan was estimated to have.
 const HEAVIEST: f32 = (1u64 << 48) as f32;
 
-/// Regions that cells are in; each has a lock. Twice as many are no faster.
-const REGIONS: usize = 32;
+/// Regions that cells are in; each has a lock. Half as many are no faster with two workers, and more workers would wait for
+/// one another.
+const REGIONS: usize = 16;
 /// Cells that follow one another in a region before it is the next one's turn, so that workers who are in the same part of
 /// a scan seldom wait for one another.
 const TURN: usize = 16;
-/// Contributions to a region that wait for one another, so that locks do not count, and waits for memory overlap.
-const WAITING: usize = 32;
+/// Contributions to a region that wait for one another, so that locks do not count, and waits for memory overlap. With half
+/// as many in twice the regions, clustering takes 4 to 5 % longer where vertices are shuffled.
+const WAITING: usize = 64;
 
 /// Lines in a worker's cache: 256 KiB, which stays in the second-level cache, and holds the cells of most buckets: of half
 /// of them, faces in no order take a tenth longer.

@@ -8,6 +8,7 @@
 
 use super::grid::{COORDINATE_BITS, LOCAL_BITS, MAX_CELLS, Steps, cell_key};
 use crate::cores::InPieces;
+use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::*};
 
@@ -192,11 +193,13 @@ impl CellTable {
         std::hint::black_box(cells.fold(0, |bits, cell| bits | self.key(cell)));
     }
 
-    /// Has the places where positions' cells are looked up first brought near.
-    pub(super) fn fetch_numbers(&self, steps: impl Iterator<Item = Steps>) {
-        let bits = steps.fold(0, |bits, s| {
-            let slot = spread(block_key(s) + 1, self.blocks.len());
-            let number = self.numbers[slot * 64 + place_in_block(s)].load(Relaxed);
+    /// Has the places where blocks, and cells at a [`place_in_block`] of each, are looked up first brought near, so that the
+    /// waits for them overlap: in a loop with little else in it, since a processor looks only so far ahead.
+    pub(super) fn fetch_numbers<const N: usize>(&self, blocks: &[u64; N], places: &[u64; N]) {
+        let slots = dispatch!(Level::new(), simd => first_slots(simd, blocks, self.blocks.len()));
+        let bits = slots.iter().zip(places).fold(0, |bits, (slot, place)| {
+            let slot = *slot as usize;
+            let number = self.numbers[slot * 64 + *place as usize % 64].load(Relaxed);
             bits | self.blocks[slot].load(Relaxed) | u64::from(number)
         });
         std::hint::black_box(bits);
@@ -263,10 +266,20 @@ pub(super) fn place_in_block(s: Steps) -> usize {
     (bits(s[0]) | bits(s[1]) << 1 | bits(s[2]) << 2) as usize
 }
 
-/// A hash of `key` in `0..slots`.
+/// A hash of `key` in `0..slots`, of which there are fewer than 2³².
 #[inline(always)]
 fn spread(key: u64, slots: usize) -> usize {
-    ((u128::from(mix(key)) * slots as u128) >> 64) as usize
+    ((mix(key) >> 32) * slots as u64 >> 32) as usize
+}
+
+/// The slots in which blocks are looked for first, worked out as wide as the processor's vectors.
+#[inline(always)]
+fn first_slots<V: Simd, const N: usize>(_: V, blocks: &[u64; N], slots: usize) -> [u64; N] {
+    let mut first = [0; N];
+    for (slot, block) in first.iter_mut().zip(blocks) {
+        *slot = spread(block + 1, slots) as u64;
+    }
+    first
 }
 
 /// A hash whose upper bits depend on all of a key's.
