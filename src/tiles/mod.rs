@@ -9,8 +9,8 @@
 //! **Promises.** What a tile holds depends on the mesh alone, not on who wrote it when: faces are put in order, along a
 //! curve through space, as they are loaded. Nothing is held for the whole mesh but where the records of blocks are.
 //!
-//! **Memory.** [`loading_bytes`] a face of a tile; what a writer is given; 24 bytes for each run of records: one a
-//! block and what a writer holds, at worst. **Scratch:** 36 bytes a face (72 in doubles), and 24 (36) for each corner
+//! **Memory.** [`loading_bytes`] a face of a tile; what a writer is given; 16 bytes for each run of records, twice as
+//! many while lists grow: one a block and what a writer holds, at worst. **Scratch:** 36 bytes a face (72 in doubles), and 24 (36) for each corner
 //! of a face that lies in another block than the face: few. Samples take [`sample_bytes`] each.
 
 mod grid;
@@ -20,6 +20,6 @@ mod store;
 
 pub use grid::{Blocks, Lie, blocks, cube};
 pub(crate) use partition::welded;
-pub use partition::{Cut, Cutter, Partition, Place, Tile, loading_bytes};
+pub use partition::{Cut, Cutter, Partition, Place, Tile, Tiles, loading_bytes};
 pub use sampling::{SampleStore, SampleTiles, draw, record_bytes as sample_bytes};
-pub use store::Run;
+pub use store::Group;

@@ -4,8 +4,8 @@
 //! tile knows of some by itself: those that lie in another tile. The others, in a tile but used from outside, are its
 //! *guests*: each face tells the blocks of its corners that it uses them.
 
-use super::grid::{Blocks, Lie, numbered, numbers};
-use super::store::{Run, Store, Writer, records};
+use super::grid::{Blocks, Lie, cube, numbered, numbers};
+use super::store::{Group, Store, Writer, find};
 use crate::cores::InPieces;
 use crate::error::Result;
 use crate::facets::{Facet, Sink};
@@ -14,7 +14,6 @@ use crate::scratch::Scratch;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
 use std::marker::PhantomData;
 
 /// A mesh by blocks.
@@ -25,18 +24,23 @@ pub struct Partition<S> {
     scalar: PhantomData<S>,
 }
 
-/// Where a tile's records are.
-#[derive(Debug, Clone, Default)]
-pub struct Place {
-    faces: Vec<Run>,
-    guests: Vec<Run>,
+/// A mesh by tiles.
+pub struct Tiles<'a, S> {
+    partition: &'a Partition<S>,
+    lie: Lie,
+    /// All that hold a face, in order.
+    pub places: Vec<Place>,
 }
 
-impl Place {
+/// Where a tile's records are.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// The tile.
+    pub number: u64,
     /// How many faces there are.
-    pub fn faces(&self) -> u64 {
-        records(&self.faces)
-    }
+    pub count: u64,
+    faces: Group,
+    guests: Group,
 }
 
 /// A tile in memory.
@@ -88,40 +92,49 @@ impl<S: Coordinate> Partition<S> {
         cutter.finish()
     }
 
-    /// All tiles that hold a face, in order.
-    pub fn tiles(&self, lie: Lie) -> BTreeMap<u64, Place> {
-        let mut guests = self.guests.tiles(lie);
-        let place = |(tile, faces)| (tile, Place { faces, guests: guests.remove(&tile).unwrap_or_default() });
-        self.faces.tiles(lie).into_iter().map(place).collect()
+    /// The tiles of a sweep.
+    pub fn tiles(&mut self, lie: Lie) -> Tiles<'_, S> {
+        let guests = self.guests.groups(|block| lie.tile(block));
+        let faces = self.faces.groups(|block| lie.tile(block));
+        let place = |(number, faces)| {
+            let count = self.faces.records(&faces) as u64;
+            Place { number, count, faces, guests: find(&guests, number) }
+        };
+        let places = faces.into_iter().map(place).collect();
+        Tiles { partition: self, lie, places }
     }
 
-    /// All blocks that hold a face, in order, with their faces.
-    pub fn by_block(&self) -> BTreeMap<u64, Vec<Run>> {
-        self.faces.blocks()
+    /// Cubes of so many blocks along a side that hold a face: the number of each, in order, and where its faces are until
+    /// the mesh is looked at in another way.
+    pub fn cubes(&mut self, side: u32) -> Vec<(u64, Group)> {
+        self.faces.groups(|block| cube(block, side))
     }
 
-    /// The faces of a block, in whatever order they were written.
-    pub fn soup(&self, runs: &[Run]) -> Result<Vec<[[S; 3]; 3]>> {
-        let mut soup: Vec<[[S; 3]; 3]> = bytemuck::zeroed_vec(records(runs) as usize);
-        self.faces.read(runs, bytemuck::cast_slice_mut(&mut soup))?;
+    /// Some faces, in whatever order they were written.
+    pub fn soup(&self, faces: &Group) -> Result<Vec<[[S; 3]; 3]>> {
+        let mut soup: Vec<[[S; 3]; 3]> = bytemuck::zeroed_vec(self.faces.records(faces));
+        self.faces.read(faces, bytemuck::cast_slice_mut(&mut soup))?;
         Ok(soup)
     }
+}
 
+impl<S: Coordinate> Tiles<'_, S> {
     /// Loads a tile.
-    pub fn load(&self, lie: Lie, tile: u64, place: &Place) -> Result<Tile<S>> {
-        let (mesh, table) = welded(self.soup(&place.faces)?, &self.blocks);
+    pub fn load(&self, place: &Place) -> Result<Tile<S>> {
+        let Tiles { partition: Partition { blocks, guests, .. }, lie, .. } = self;
+        let (mesh, table) = welded(self.partition.soup(&place.faces)?, blocks);
         let mut loaded = Tile { mesh, locked: Vec::new(), table };
-        let outside = |p: &[S; 3]| lie.tile(self.blocks.of(widen(*p))) != tile;
+        let outside = |p: &[S; 3]| lie.tile(blocks.of(widen(*p))) != place.number;
         let positions = &loaded.mesh.positions;
         let mut locked: Vec<u32> = (0..positions.len() as u32).filter(|v| outside(&positions[*v as usize])).collect();
-        let mut guests = Vec::new();
-        self.guests.each(&place.guests, |record| {
+        let mut used = Vec::new();
+        guests.each(&place.guests, |record| {
             let [at, from]: [[S; 3]; 2] = bytemuck::pod_read_unaligned(record);
-            if lie.tile(numbered(from)) != tile {
-                guests.push(at);
+            if lie.tile(numbered(from)) != place.number {
+                used.push(at);
             }
         })?;
-        loaded.find(&guests, |_, vertex| locked.extend(vertex));
+        loaded.find(&used, |_, vertex| locked.extend(vertex));
         locked.sort_unstable();
         locked.dedup();
         loaded.locked = locked;
@@ -257,6 +270,7 @@ mod tests {
     use crate::mesh::{Extent, Frame};
     use crate::progress::Progress;
     use crate::read::Scan;
+    use std::collections::BTreeMap;
 
     /// A square of n × n × 2 faces in the plane, from 0 to 1.
     fn square(n: u32) -> IndexedMesh<f32> {
@@ -286,21 +300,21 @@ mod tests {
     fn tiles_hold_every_face_once_and_lock_what_they_share() {
         let folder = tempfile::tempdir().unwrap();
         let blocks = blocks(folder.path(), 1500);
-        let partition = Partition::<f32>::new(blocks, 1 << 12, &Scratch::in_folder(folder.path())).unwrap();
+        let mut partition = Partition::<f32>::new(blocks, 1 << 12, &Scratch::in_folder(folder.path())).unwrap();
         let mut mesh = square(64);
         let cut = partition.add(&mesh).unwrap();
         assert!(cut.faces == 8192 && (cut.area() - 1.0).abs() < 1e-12, "{cut:?}");
         for lie in [Lie::Straight, Lie::Shifted] {
             let tiles = partition.tiles(lie);
-            assert!(tiles.len() > 5);
+            assert!(tiles.places.len() > 5);
             let mut users: BTreeMap<[u32; 3], u32> = BTreeMap::new();
             let mut locked = BTreeMap::new();
             let mut faces = 0;
-            for (tile, place) in &tiles {
-                let loaded = partition.load(lie, *tile, place).unwrap();
-                assert_eq!(loaded.mesh.faces.len() as u64, place.faces());
-                assert!(place.faces() <= 1500);
-                faces += place.faces();
+            for place in &tiles.places {
+                let loaded = tiles.load(place).unwrap();
+                assert_eq!(loaded.mesh.faces.len() as u64, place.count);
+                assert!(place.count <= 1500);
+                faces += place.count;
                 for (v, position) in loaded.mesh.positions.iter().enumerate() {
                     let key = position.map(f32::to_bits);
                     *users.entry(key).or_default() += 1;
@@ -314,13 +328,13 @@ mod tests {
             }
         }
         // Whatever the order in which faces came.
-        let again = Partition::<f32>::new(blocks, 1 << 9, &Scratch::in_folder(folder.path())).unwrap();
+        let mut again = Partition::<f32>::new(blocks, 1 << 9, &Scratch::in_folder(folder.path())).unwrap();
         mesh.faces.reverse();
         again.add(&mesh).unwrap();
-        let load = |partition: &Partition<f32>| {
-            let (tile, place) = partition.tiles(Lie::Straight).pop_first().unwrap();
-            partition.load(Lie::Straight, tile, &place).unwrap().mesh
+        let load = |partition: &mut Partition<f32>| {
+            let tiles = partition.tiles(Lie::Straight);
+            tiles.load(&tiles.places[0]).unwrap().mesh
         };
-        assert_eq!(load(&partition), load(&again));
+        assert_eq!(load(&mut partition), load(&mut again));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::grid::{Blocks, Lie};
 use super::partition::Tile;
-use super::store::{Run, Store, Tiles, records};
+use super::store::{Group, Store, find};
 use crate::cores::InPieces;
 use crate::error::Result;
 use crate::mesh::samples::{Lattice, SAMPLE_BYTES, SurfaceSample};
@@ -79,16 +79,26 @@ impl<S: Coordinate> SampleStore<S> {
         writer.flush()
     }
 
-    /// Where the samples of each tile are.
-    pub fn tiles(&self, lie: Lie) -> SampleTiles {
-        SampleTiles(self.store.tiles(lie))
+    /// The samples of tiles.
+    pub fn tiles(&mut self, lie: Lie) -> SampleTiles<'_, S> {
+        let places = self.store.groups(|block| lie.tile(block));
+        SampleTiles { samples: self, places }
     }
+}
 
+/// Samples by tile.
+pub struct SampleTiles<'a, S> {
+    samples: &'a SampleStore<S>,
+    places: Vec<(u64, Group)>,
+}
+
+impl<S: Coordinate> SampleTiles<'_, S> {
     /// The samples of a tile whose vertices it has.
-    pub fn load(&self, runs: &[Run], tile: &Tile<S>) -> Result<Vec<SurfaceSample>> {
-        let count = records(runs) as usize;
+    pub fn load(&self, number: u64, tile: &Tile<S>) -> Result<Vec<SurfaceSample>> {
+        let (store, group) = (&self.samples.store, find(&self.places, number));
+        let count = store.records(&group);
         let (mut at, mut samples) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        self.store.each(runs, |record| {
+        store.each(&group, |record| {
             let (position, rest) = record.split_at(size_of::<[S; 3]>());
             at.push(bytemuck::pod_read_unaligned::<[S; 3]>(position));
             let mut sample = [0; SAMPLE_BYTES];
@@ -98,15 +108,5 @@ impl<S: Coordinate> SampleStore<S> {
         tile.find(&at, |i, vertex| samples[i].near = vertex.unwrap_or(u32::MAX));
         samples.retain(|sample| sample.near != u32::MAX);
         Ok(samples)
-    }
-}
-
-/// Where samples are, by tile.
-pub struct SampleTiles(Tiles);
-
-impl SampleTiles {
-    /// Those of one.
-    pub fn of(&self, tile: u64) -> &[Run] {
-        self.0.get(&tile).map_or(&[], |runs| runs)
     }
 }

@@ -1,9 +1,9 @@
 //! Records on scratch, by block.
 
-use super::grid::Lie;
 use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
-use std::collections::BTreeMap;
+use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
@@ -13,75 +13,94 @@ pub(super) struct Store {
     record_bytes: usize,
     /// Records that a writer holds back, to sort them by block.
     held_back: usize,
+    /// Records that were written.
     end: AtomicU64,
-    runs: Mutex<Vec<Run>>,
+    /// As they are written.
+    fresh: Mutex<Vec<Run>>,
+    /// By group, once they were sorted into some.
+    runs: Vec<Run>,
 }
 
 /// Records of one block that lie together.
 #[derive(Debug, Clone, Copy)]
-pub struct Run {
+struct Run {
     block: u64,
-    offset: u64,
-    records: u32,
+    /// The number of the first among all that were written, and in the lowest [`COUNT_BITS`] how many there are.
+    place: u64,
 }
 
-/// Runs of each tile.
-pub(super) type Tiles = BTreeMap<u64, Vec<Run>>;
+const COUNT_BITS: u32 = 24;
 
-/// How many records some runs have.
-pub(super) fn records(runs: &[Run]) -> u64 {
-    runs.iter().map(|run| u64::from(run.records)).sum()
+impl Run {
+    fn first(self) -> u64 {
+        self.place >> COUNT_BITS
+    }
+
+    fn records(self) -> usize {
+        (self.place & ((1 << COUNT_BITS) - 1)) as usize
+    }
 }
+
+/// Where the records of a group are, until the store's are sorted into others.
+pub type Group = Range<usize>;
 
 impl Store {
     /// Of records of this length, with so many bytes for each writer.
     pub fn new(record_bytes: usize, writer_bytes: u64, scratch: &Scratch) -> Result<Self> {
-        let held_back = (writer_bytes as usize / (2 * record_bytes + 16)).max(64);
-        Ok(Store { file: scratch.file()?, record_bytes, held_back, end: AtomicU64::new(0), runs: Mutex::default() })
+        let held_back = (writer_bytes as usize / (2 * record_bytes + 16)).clamp(64, (1 << COUNT_BITS) - 1);
+        let (end, fresh) = (AtomicU64::new(0), Mutex::default());
+        Ok(Store { file: scratch.file()?, record_bytes, held_back, end, fresh, runs: Vec::new() })
     }
 
     pub fn writer(&self) -> Writer<'_> {
         Writer { store: self, keys: Vec::new(), held: Vec::new(), written: 0 }
     }
 
-    /// What tiles hold.
-    pub fn tiles(&self, lie: Lie) -> Tiles {
-        let mut tiles = Tiles::new();
-        for run in self.runs.lock().unwrap_or_else(PoisonError::into_inner).iter() {
-            tiles.entry(lie.tile(run.block)).or_default().push(*run);
-        }
-        tiles
+    /// Sorts blocks into groups: the number of each, in order, and where its records are.
+    pub fn groups(&mut self, of: impl Fn(u64) -> u64 + Sync) -> Vec<(u64, Group)> {
+        self.runs.append(self.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
+        self.runs.par_sort_unstable_by_key(|run| (of(run.block), run.place));
+        let mut end = 0;
+        let group = |same: &[Run]| {
+            let first = end;
+            end += same.len();
+            (of(same[0].block), first..end)
+        };
+        self.runs.chunk_by(|a, b| of(a.block) == of(b.block)).map(group).collect()
     }
 
-    /// What blocks hold.
-    pub fn blocks(&self) -> Tiles {
-        let mut blocks = Tiles::new();
-        for run in self.runs.lock().unwrap_or_else(PoisonError::into_inner).iter() {
-            blocks.entry(run.block).or_default().push(*run);
-        }
-        blocks
+    /// How many records a group has.
+    pub fn records(&self, group: &Group) -> usize {
+        self.runs[group.clone()].iter().map(|run| run.records()).sum()
     }
 
-    /// Reads runs, one behind the other; `bytes` is as long as they are.
-    pub fn read(&self, runs: &[Run], mut bytes: &mut [u8]) -> Result<()> {
-        for run in runs {
-            let (now, rest) = bytes.split_at_mut(run.records as usize * self.record_bytes);
-            self.file.read_exact_at(now, run.offset)?;
+    /// Reads a group's records, one behind the other; `bytes` is as long as they are.
+    pub fn read(&self, group: &Group, mut bytes: &mut [u8]) -> Result<()> {
+        let is_next = |a: &Run, b: &Run| a.first() + a.records() as u64 == b.first();
+        for together in self.runs[group.clone()].chunk_by(is_next) {
+            let records: usize = together.iter().map(|run| run.records()).sum();
+            let (now, rest) = bytes.split_at_mut(records * self.record_bytes);
+            self.file.read_exact_at(now, together[0].first() * self.record_bytes as u64)?;
             bytes = rest;
         }
         Ok(())
     }
 
-    /// Gives every record of some runs to `take`.
-    pub fn each(&self, runs: &[Run], mut take: impl FnMut(&[u8])) -> Result<()> {
+    /// Gives every record of a group to `take`.
+    pub fn each(&self, group: &Group, mut take: impl FnMut(&[u8])) -> Result<()> {
         let mut bytes = Vec::new();
-        for run in runs {
-            bytes.resize(run.records as usize * self.record_bytes, 0);
-            self.read(std::slice::from_ref(run), &mut bytes)?;
+        for run in &self.runs[group.clone()] {
+            bytes.resize(run.records() * self.record_bytes, 0);
+            self.file.read_exact_at(&mut bytes, run.first() * self.record_bytes as u64)?;
             bytes.chunks_exact(self.record_bytes).for_each(&mut take);
         }
         Ok(())
     }
+}
+
+/// The group of a number among those of [`Store::groups`]; one of no records, if it is not there.
+pub(super) fn find(groups: &[(u64, Group)], number: u64) -> Group {
+    groups.binary_search_by_key(&number, |(number, _)| *number).map_or(0..0, |at| groups[at].1.clone())
 }
 
 /// One writer's end of a [`Store`].
@@ -114,14 +133,14 @@ impl Writer<'_> {
         for &(_, i) in &self.keys {
             sorted.extend_from_slice(&self.held[i as usize * length..][..length]);
         }
-        let mut offset = self.store.end.fetch_add(sorted.len() as u64, Relaxed);
-        self.store.file.write_all_at(&sorted, offset)?;
-        let mut runs = self.store.runs.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut first = self.store.end.fetch_add(self.keys.len() as u64, Relaxed);
+        self.store.file.write_all_at(&sorted, first * length as u64)?;
+        let mut fresh = self.store.fresh.lock().unwrap_or_else(PoisonError::into_inner);
         for same in self.keys.chunk_by(|a, b| a.0 == b.0) {
-            runs.push(Run { block: same[0].0, offset, records: same.len() as u32 });
-            offset += (same.len() * length) as u64;
+            fresh.push(Run { block: same[0].0, place: first << COUNT_BITS | same.len() as u64 });
+            first += same.len() as u64;
         }
-        drop(runs);
+        drop(fresh);
         self.keys.clear();
         self.held.clear();
         Ok(())

@@ -34,7 +34,6 @@ use crate::tiles::{self, Blocks, Cut, Lie, Partition, Place, SampleStore};
 use kept::{Joined, Kept, Offer, Tiled, apply};
 use line::{Done, Line, Waiting};
 use search::Search;
-use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::time::Instant;
 use trial::Found;
@@ -139,9 +138,9 @@ impl<S: Coordinate> Done for (IndexedMesh<S>, Vec<u32>) {
     }
 }
 
-/// All tiles of a partition.
-fn waiting(tiles: BTreeMap<u64, Place>) -> Vec<Waiting<(u64, Place)>> {
-    tiles.into_iter().map(|place| Waiting { faces: place.1.faces(), place }).collect()
+/// Tiles of a partition.
+fn waiting<'a>(places: impl IntoIterator<Item = &'a Place>) -> Vec<Waiting<&'a Place>> {
+    places.into_iter().map(|place| Waiting { faces: place.count, place }).collect()
 }
 
 /// A mesh between two sweeps.
@@ -197,34 +196,34 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// All sweeps, until one more choice gives the count.
-    fn grind(&self, scan: Partition<S>) -> Result<Tiled<S>> {
+    fn grind(&self, mut scan: Partition<S>) -> Result<Tiled<S>> {
         self.run.progress.begin(Stage::Collapse, self.cut.faces.saturating_sub(self.asked));
-        let (mut between, mut found) = self.begin(&scan)?;
+        let (mut between, mut found) = self.begin(&mut scan)?;
         drop(scan);
         let mut lie = Lie::Shifted;
         for _ in 0..MOST_SWEEPS {
             if found.is_last {
-                return self.end(&between, lie, found);
+                return self.end(&mut between, lie, found);
             }
-            let next = self.sweep(&between, lie, found.threshold)?;
+            let next = self.sweep(&mut between, lie, found.threshold)?;
             let times = self.times(next.faces);
             if times < SPARE_AT_END {
                 found.correct(times);
                 continue;
             }
             (between, lie) = (next, lie.other());
-            found = self.trial(&between, lie, found.threshold, found.learnt())?;
+            found = self.trial(&mut between, lie, found.threshold, found.learnt())?;
         }
         Err(self.unmet())
     }
 
     /// The first sweep, and what the next one is to be: all again where it has left too little.
-    fn begin(&self, scan: &Partition<S>) -> Result<(Between<S>, Found)> {
+    fn begin(&self, scan: &mut Partition<S>) -> Result<(Between<S>, Found)> {
         let (mut threshold, search) = self.pilot(scan)?;
         let mut search = search.anew();
         for turn in 1..=MOST_BEGINNINGS {
-            let between = self.first_sweep(scan, threshold)?;
-            let found = self.trial(&between, Lie::Shifted, threshold, &search)?;
+            let mut between = self.first_sweep(scan, threshold)?;
+            let found = self.trial(&mut between, Lie::Shifted, threshold, &search)?;
             let times = self.times(between.faces);
             let without_cuts = if threshold.is_flat() { times } else { found.before };
             if times >= SPARE_AT_END && without_cuts >= LEAST_SPARE {
@@ -246,7 +245,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// The last sweep: again, by what it has left, where that was not enough, or too much for the last step.
-    fn end(&self, between: &Between<S>, lie: Lie, mut found: Found) -> Result<Tiled<S>> {
+    fn end(&self, between: &mut Between<S>, lie: Lie, mut found: Found) -> Result<Tiled<S>> {
         for turn in 1..=MOST_LAST_SWEEPS {
             let tiled = self.last_sweep(between, lie, found.threshold)?;
             let is_within_reach = tiled.faces.saturating_sub(tiled.removable()) <= self.asked;
@@ -291,24 +290,24 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// Collapses the tiles of the scan.
-    fn first_sweep(&self, scan: &Partition<S>, threshold: Threshold) -> Result<Between<S>> {
+    fn first_sweep(&self, scan: &mut Partition<S>, threshold: Threshold) -> Result<Between<S>> {
         let mut between = self.nothing_between()?;
         let rate = self.plan.samples as f64 / self.cut.area().max(f64::MIN_POSITIVE);
-        let lie = Lie::Straight;
-        let tiles = waiting(scan.tiles(lie));
-        if let Some(tile) = tiles.iter().find(|tile| tile.faces > self.plan.faces) {
+        let tiles = scan.tiles(Lie::Straight);
+        if let Some(tile) = tiles.places.iter().find(|tile| tile.count > self.plan.faces) {
             let path = self.run.scan.path().display();
-            let what = format!("{path}: a tile has {} faces, more than fit this budget", tile.faces);
+            let what = format!("{path}: a tile has {} faces, more than fit this budget", tile.count);
             return Err(Error::Budget { what, needed_bytes: self.run.purse.in_core_budget::<S>(self.run.scan) });
         }
-        let load = |(tile, place): &(u64, Place)| {
-            let loaded = scan.load(lie, *tile, place)?;
+        let load = |place: &&Place| {
+            let loaded = tiles.load(place)?;
             let samples = tiles::draw(&loaded.mesh, &self.lattice, rate);
             Ok((loaded, samples))
         };
         let collapse = |(loaded, samples)| self.tile(loaded, samples, self.cut.faces, threshold, false);
         let line = Line { face_bytes: self.plan.first_face_bytes, ..self.line() };
-        line.run(&tiles, load, collapse, |(collapsed, samples)| between.add(&self.blocks, &collapsed, &samples))?;
+        let put = |(collapsed, samples): Sampled<S>| between.add(&self.blocks, &collapsed, &samples);
+        line.run(&waiting(&tiles.places), load, collapse, put)?;
         Ok(between)
     }
 
@@ -320,7 +319,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// Collapses the tiles of what another sweep has left.
-    fn sweep(&self, between: &Between<S>, lie: Lie, threshold: Threshold) -> Result<Between<S>> {
+    fn sweep(&self, between: &mut Between<S>, lie: Lie, threshold: Threshold) -> Result<Between<S>> {
         let mut next = self.nothing_between()?;
         self.each(between, lie, threshold, false, |(collapsed, samples)| next.add(&self.blocks, &collapsed, &samples))?;
         next.error += between.error;
@@ -328,7 +327,7 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     }
 
     /// The same, and asks what would be next.
-    fn last_sweep(&self, between: &Between<S>, lie: Lie, threshold: Threshold) -> Result<Tiled<S>> {
+    fn last_sweep(&self, between: &mut Between<S>, lie: Lie, threshold: Threshold) -> Result<Tiled<S>> {
         let mut tiled = Tiled::new(&self.run.scratch)?;
         self.each(between, lie, threshold, true, |(collapsed, samples)| tiled.keep(collapsed, &samples))?;
         tiled.error += between.error;
@@ -344,20 +343,20 @@ impl<'a, S: Coordinate> Mill<'a, S> {
     /// Gives every tile of what a sweep has left, collapsed, to `take`.
     fn each(
         &self,
-        between: &Between<S>,
+        between: &mut Between<S>,
         lie: Lie,
         threshold: Threshold,
         proposes: bool,
         take: impl FnMut(Sampled<S>) -> Result<()> + Send,
     ) -> Result<()> {
-        let samples_of = between.samples.tiles(lie);
-        let load = |(tile, place): &(u64, Place)| {
-            let loaded = between.mesh.load(lie, *tile, place)?;
-            let samples = between.samples.load(samples_of.of(*tile), &loaded)?;
+        let (faces, tiles, samples) = (between.faces, between.mesh.tiles(lie), between.samples.tiles(lie));
+        let load = |place: &&Place| {
+            let loaded = tiles.load(place)?;
+            let samples = samples.load(place.number, &loaded)?;
             Ok((loaded, samples))
         };
-        let collapse = |(loaded, samples)| self.tile(loaded, samples, between.faces, threshold, proposes);
-        self.line().run(&waiting(between.mesh.tiles(lie)), load, collapse, take)
+        let collapse = |(loaded, samples)| self.tile(loaded, samples, faces, threshold, proposes);
+        self.line().run(&waiting(&tiles.places), load, collapse, take)
     }
 
     /// Collapses a tile of a mesh of `whole` faces; samples go where their vertices go.

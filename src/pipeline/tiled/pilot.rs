@@ -6,7 +6,6 @@ use crate::error::Result;
 use crate::mesh::{Coordinate, IndexedMesh, widen};
 use crate::tiles::{self, Partition};
 use glam::DVec3;
-use std::collections::BTreeMap;
 
 /// How near to what is wanted the pilot is to come.
 const NEAR_ENOUGH: f64 = 0.03;
@@ -33,7 +32,7 @@ struct Pilot<'a, 'b, S> {
 }
 
 impl<'a, 'b, S: Coordinate> Pilot<'a, 'b, S> {
-    fn of(mill: &'a Mill<'b, S>, scan: &Partition<S>) -> Result<Self> {
+    fn of(mill: &'a Mill<'b, S>, scan: &mut Partition<S>) -> Result<Self> {
         let (mesh, pieces) = mill.pieces(scan)?;
         let before = mill.inner(&mesh, pieces).max(1) as f64;
         let wanted = SPARE * mill.asked as f64 / mill.cut.faces as f64 * before;
@@ -74,7 +73,7 @@ impl<'a, 'b, S: Coordinate> Pilot<'a, 'b, S> {
 impl<S: Coordinate> Mill<'_, S> {
     /// Finds the cost down to which everything is to be collapsed; where what costs nothing is more than is to go, the
     /// share that is to stay. With what is known of how much either leaves.
-    pub(super) fn pilot(&self, scan: &Partition<S>) -> Result<(Threshold, Search)> {
+    pub(super) fn pilot(&self, scan: &mut Partition<S>) -> Result<(Threshold, Search)> {
         let pilot = Pilot::of(self, scan)?;
         let area = self.cut.area() / (self.asked as f64).max(1.0);
         let cost = (FIRST_COST * area * area).max(LEAST_COST);
@@ -86,28 +85,23 @@ impl<S: Coordinate> Mill<'_, S> {
     }
 
     /// Pieces from all over the scan, cubes of it, and how many of them there are along the side of a block.
-    fn pieces(&self, scan: &Partition<S>) -> Result<(IndexedMesh<S>, f64)> {
+    fn pieces(&self, scan: &mut Partition<S>) -> Result<(IndexedMesh<S>, f64)> {
         let wanted = PILOT_FACES.min(self.plan.faces / 2).max(1);
-        let by_block = scan.by_block();
-        let cubes = |side: u32| {
-            let mut cubes: BTreeMap<u64, Vec<tiles::Run>> = BTreeMap::new();
-            by_block.iter().for_each(|(block, runs)| cubes.entry(tiles::cube(*block, side)).or_default().extend(runs));
-            cubes
-        };
         let of_each = |count: usize| self.cut.faces / (count as u64).max(1);
         // A surface is in four of the eight parts of a block.
-        let (cubes, pieces) = if of_each(4 * by_block.len()) >= PIECE_FACES {
-            (cubes(1), 2.0)
+        let (side, pieces) = if of_each(4 * scan.cubes(1).len()) >= PIECE_FACES {
+            (1, 2.0)
         } else {
-            let cubes_of = |side: u32| (cubes(side), 1.0 / f64::from(side));
-            let enough = |(cubes, _): &(BTreeMap<u64, Vec<tiles::Run>>, f64)| of_each(cubes.len()) >= PIECE_FACES;
-            [1, 2].into_iter().map(cubes_of).find(enough).unwrap_or_else(|| cubes_of(4))
+            let enough = |side: &u32| of_each(scan.cubes(*side).len()) >= PIECE_FACES;
+            let side = [1, 2].into_iter().find(enough).unwrap_or(4);
+            (side, 1.0 / f64::from(side))
         };
+        let cubes = scan.cubes(side);
         let parts = if pieces > 1.0 { 4 } else { 1 };
         let every = (self.cut.faces / parts / wanted).clamp(1, cubes.len().max(1) as u64) as usize;
         let mut soup: Vec<[[S; 3]; 3]> = Vec::new();
-        for (cube, runs) in cubes.into_iter().skip(every / 2).step_by(every) {
-            let mut faces = scan.soup(&runs)?;
+        for (cube, faces) in cubes.into_iter().skip(every / 2).step_by(every) {
+            let mut faces = scan.soup(&faces)?;
             if pieces > 1.0 {
                 self.keep_a_part(cube, &mut faces);
             }

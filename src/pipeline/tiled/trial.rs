@@ -46,21 +46,21 @@ impl Found {
 impl<S: Coordinate> Mill<'_, S> {
     /// Finds the next threshold, for what a sweep to `last` has left: one that leaves [`SPARE_AT_END`] times what is asked
     /// for, or [`SPARE`] times where what is at the cuts would stand out.
-    pub(super) fn trial(&self, between: &Between<S>, lie: Lie, last: Threshold, learnt: &Search) -> Result<Found> {
-        let tiles = waiting(between.mesh.tiles(lie));
-        let every = (tiles.len() / LEAST_TILES).clamp(1, ONE_IN);
-        let some: Vec<_> = tiles.into_iter().skip(every / 2).step_by(every).collect();
+    pub(super) fn trial(&self, between: &mut Between<S>, lie: Lie, last: Threshold, learnt: &Search) -> Result<Found> {
+        let (faces, tiles) = (between.faces, between.mesh.tiles(lie));
+        let every = (tiles.places.len() / LEAST_TILES).clamp(1, ONE_IN);
+        let some = waiting(tiles.places.iter().skip(every / 2).step_by(every));
         let before: u64 = some.iter().map(|tile| tile.faces).sum();
-        let asked = self.asked as f64 * before as f64 / between.faces.max(1) as f64;
-        let load = |(tile, place): &(u64, Place)| {
+        let asked = self.asked as f64 * before as f64 / faces.max(1) as f64;
+        let load = |place: &&Place| {
             self.run.progress.check()?;
-            between.mesh.load(lie, *tile, place)
+            tiles.load(place)
         };
         let leaves = |threshold: Threshold| -> Result<f64> {
             let mut left = 0;
             let collapse = |tile: Tile<S>| {
                 let held = (tile.locked, Vec::new());
-                Ok((self.part(tile.mesh, held, between.faces, threshold, false)?, Vec::new()))
+                Ok((self.part(tile.mesh, held, faces, threshold, false)?, Vec::new()))
             };
             self.line().run(&some, load, collapse, |sampled| {
                 left += sampled.faces();
@@ -68,7 +68,7 @@ impl<S: Coordinate> Mill<'_, S> {
             })?;
             Ok(left as f64 / asked)
         };
-        let mut threshold = last.among(between.faces, self.asked);
+        let mut threshold = last.among(faces, self.asked);
         let before = leaves(threshold)?;
         let mut is_last = threshold.is_flat() || before <= MOST_AT_CUTS;
         let aim = if is_last { SPARE_AT_END } else { SPARE };
