@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::mesh::{Coordinate, Extent, Frame};
 use crate::read::{Crew, Scan};
 use glam::DVec3;
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// Blocks along a side of a tile, and by how many of them the tiles of every other sweep are shifted.
 const BLOCKS_A_TILE: u32 = 8;
@@ -13,6 +13,12 @@ const SHIFT: u32 = BLOCKS_A_TILE / 2;
 /// Bits of a block's number along an axis.
 const BITS: u32 = 20;
 const MASK: u64 = (1 << BITS) - 1;
+/// One along each axis.
+const EACH: u64 = 1 | 1 << BITS | 1 << (2 * BITS);
+
+/// Blocks of fewer faces than that, on average, are not told apart as faces are put away: lists of where each block's are
+/// would take more than some small budgets hold, 260 MiB for 28 million faces in blocks of 28.
+pub const FEW_FACES: u64 = 500;
 
 /// Steps within a block, along an axis, that the order of faces tells apart, as a power of two.
 const CURVE_BITS: u32 = 13;
@@ -64,17 +70,40 @@ impl Lie {
     }
 }
 
+/// The first block of the cube that a block is in and that no tile cuts, whichever way tiles lie.
+#[inline]
+pub(super) fn uncut(block: u64) -> u64 {
+    block & !(u64::from(SHIFT - 1) * EACH)
+}
+
 /// Cubes of one size, numbered along each axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Blocks {
     least: DVec3,
     side: f64,
     per_side: f64,
+    are_small: bool,
 }
 
 impl Blocks {
     fn new(least: DVec3, side: f64) -> Self {
-        Blocks { least, side, per_side: 1.0 / side }
+        Blocks { least, side, per_side: 1.0 / side, are_small: false }
+    }
+
+    /// The same, where so many of them hold so many faces.
+    pub(super) fn of_faces(self, faces: u64, blocks: usize) -> Self {
+        Blocks { are_small: faces / (blocks as u64).max(1) < FEW_FACES, ..self }
+    }
+
+    /// Whether they hold so few faces that cubes of 4³ of them are the least that faces are put away by.
+    pub fn are_small(&self) -> bool {
+        self.are_small
+    }
+
+    /// Where faces of a block are put away: there, or where those of others are, too.
+    #[inline]
+    pub(super) fn put_away(&self, block: u64) -> u64 {
+        if self.are_small { uncut(block) } else { block }
     }
 
     /// The block that a point is in, or is nearest to.
@@ -130,7 +159,9 @@ pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most:
         let mut coarsenings = (0..=FIRST.ilog2()).rev().flat_map(|power| (4..=7).rev().map(move |n| (n << power) / 4));
         let fits = |n: &u32| f64::from(heaviest(&counts, *n)) * each * MARGIN <= most as f64;
         if let Some(coarsening) = coarsenings.find(fits) {
-            return Ok(Some(Blocks::new(min, side * f64::from(coarsening))));
+            let occupied: FxHashSet<u64> = counts.keys().map(|block| cube(*block, coarsening)).collect();
+            let blocks = Blocks::new(min, side * f64::from(coarsening));
+            return Ok(Some(blocks.of_faces(scan.triangle_count(), occupied.len())));
         }
         side /= FINER;
         if size / side > MASK as f64 {
@@ -156,7 +187,7 @@ fn count(scan: &Scan, crew: &Crew, place: &(impl Fn([f64; 3]) -> DVec3 + Sync), 
 }
 
 /// The cube of so many blocks along each side that a block is in.
-pub fn cube(block: u64, blocks: u32) -> u64 {
+pub(super) fn cube(block: u64, blocks: u32) -> u64 {
     let along = |axis: u32| (block >> (axis * BITS) & MASK) / u64::from(blocks);
     along(0) | along(1) << BITS | along(2) << (2 * BITS)
 }
@@ -188,6 +219,18 @@ mod tests {
         };
         assert_eq!((changes(Lie::Straight), changes(Lie::Shifted)), (vec![8, 16], vec![4, 12, 20]));
         assert_eq!(Lie::Straight.other().other(), Lie::Straight);
+        for lie in [Lie::Straight, Lie::Shifted] {
+            assert!(tiles(lie).eq((0..24).map(|x| lie.tile(uncut(block(x, 0, 5))))), "{lie:?}");
+        }
+        assert_eq!(uncut(block(11, 4, 3)), block(8, 4, 0));
+    }
+
+    #[test]
+    fn faces_of_small_blocks_are_put_away_together() {
+        let blocks = Blocks::new(DVec3::ZERO, 1.0);
+        let (few, many) = (blocks.of_faces(FEW_FACES * 10 - 1, 10), blocks.of_faces(FEW_FACES * 10, 10));
+        assert!(few.are_small() && !many.are_small());
+        assert_eq!([few, many].map(|blocks| blocks.put_away(block(1, 6, 3))), [block(0, 4, 0), block(1, 6, 3)]);
     }
 
     #[test]

@@ -10,15 +10,16 @@
 //! curve through space, as they are loaded. Nothing is held for the whole mesh but where the records of blocks are.
 //!
 //! **Memory.** [`loading_bytes`] a face of a tile; what a writer is given; 16 bytes for each run of records, twice as
-//! many while lists grow: one a block and what a writer holds, at worst. **Scratch:** 36 bytes a face (72 in doubles), and 24 (36) for each corner
-//! of a face that lies in another block than the face: few. Samples take [`sample_bytes`] each.
+//! many while lists grow: one for each time that a block (of small ones, a cube of 4³) is among what a writer holds.
+//! **Scratch:** 36 bytes a face (72 in doubles), and 24 (36) for each corner of a face that lies in another cube of 4³
+//! blocks than the face: few. Samples take [`sample_bytes`] each.
 
 mod grid;
 mod partition;
 mod sampling;
 mod store;
 
-pub use grid::{Blocks, Lie, blocks, cube};
+pub use grid::{Blocks, FEW_FACES, Lie, blocks};
 pub(crate) use partition::welded;
 pub use partition::{Cut, Cutter, Partition, Place, Tile, Tiles, loading_bytes};
 pub use sampling::{SampleStore, SampleTiles, draw, record_bytes as sample_bytes};

@@ -2,9 +2,9 @@
 //!
 //! A vertex that faces of two tiles share must stay where it is while either is collapsed, or they would come apart. A
 //! tile knows of some by itself: those that lie in another tile. The others, in a tile but used from outside, are its
-//! *guests*: each face tells the blocks of its corners that it uses them.
+//! *guests*: each face tells the cubes of its corners, such as no tile cuts, that it uses them.
 
-use super::grid::{Blocks, Lie, cube, numbered, numbers};
+use super::grid::{Blocks, Lie, cube, numbered, numbers, uncut};
 use super::store::{Group, Store, Writer, find};
 use crate::cores::InPieces;
 use crate::error::Result;
@@ -105,7 +105,7 @@ impl<S: Coordinate> Partition<S> {
     }
 
     /// Cubes of so many blocks along a side that hold a face: the number of each, in order, and where its faces are until
-    /// the mesh is looked at in another way.
+    /// the mesh is looked at in another way. Of small blocks there are only cubes of 4.
     pub fn cubes(&mut self, side: u32) -> Vec<(u64, Group)> {
         self.faces.groups(|block| cube(block, side))
     }
@@ -184,11 +184,12 @@ impl<S: Coordinate> Cutter<'_, S> {
         let block = self.blocks.of_face(corners);
         let [a, b, c] = corners;
         self.area += (0.5 * (b - a).cross(c - a).length() / AREA_UNIT) as u128;
-        self.faces.push(block, &[bytemuck::bytes_of(&face)])?;
+        self.faces.push(self.blocks.put_away(block), &[bytemuck::bytes_of(&face)])?;
+        let here = uncut(block);
         for (corner, p) in corners.iter().zip(&face) {
-            let own = self.blocks.of(*corner);
-            if own != block {
-                self.guests.push(own, &[bytemuck::bytes_of(p), bytemuck::bytes_of(&numbers::<S>(block))])?;
+            let own = uncut(self.blocks.of(*corner));
+            if own != here {
+                self.guests.push(own, &[bytemuck::bytes_of(p), bytemuck::bytes_of(&numbers::<S>(here))])?;
             }
         }
         Ok(())
@@ -300,7 +301,15 @@ mod tests {
     fn tiles_hold_every_face_once_and_lock_what_they_share() {
         let folder = tempfile::tempdir().unwrap();
         let blocks = blocks(folder.path(), 1500);
-        let mut partition = Partition::<f32>::new(blocks, 1 << 12, &Scratch::in_folder(folder.path())).unwrap();
+        for (faces, are_small) in [(0, true), (u64::MAX, false)] {
+            let blocks = blocks.of_faces(faces, 1);
+            assert_eq!(blocks.are_small(), are_small);
+            every_face_once(blocks, folder.path());
+        }
+    }
+
+    fn every_face_once(blocks: Blocks, folder: &std::path::Path) {
+        let mut partition = Partition::<f32>::new(blocks, 1 << 12, &Scratch::in_folder(folder)).unwrap();
         let mut mesh = square(64);
         let cut = partition.add(&mesh).unwrap();
         assert!(cut.faces == 8192 && (cut.area() - 1.0).abs() < 1e-12, "{cut:?}");
@@ -328,7 +337,7 @@ mod tests {
             }
         }
         // Whatever the order in which faces came.
-        let mut again = Partition::<f32>::new(blocks, 1 << 9, &Scratch::in_folder(folder.path())).unwrap();
+        let mut again = Partition::<f32>::new(blocks, 1 << 9, &Scratch::in_folder(folder)).unwrap();
         mesh.faces.reverse();
         again.add(&mesh).unwrap();
         let load = |partition: &mut Partition<f32>| {

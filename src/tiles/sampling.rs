@@ -1,6 +1,6 @@
 //! Samples of the scan on their way through the sweeps: each stays with a vertex of the mesh.
 
-use super::grid::{Blocks, Lie};
+use super::grid::{Blocks, Lie, uncut};
 use super::partition::Tile;
 use super::store::{Group, Store, find};
 use crate::cores::InPieces;
@@ -20,7 +20,7 @@ pub const fn record_bytes<S>() -> usize {
     size_of::<[S; 3]>() + REST_BYTES
 }
 
-/// Samples by block.
+/// Samples by cubes that no tile cuts.
 pub struct SampleStore<S> {
     store: Store,
     scalar: PhantomData<S>,
@@ -74,7 +74,7 @@ impl<S: Coordinate> SampleStore<S> {
         let mut writer = self.store.writer();
         for sample in samples {
             let Some(at) = mesh.positions.get(sample.near as usize) else { continue };
-            writer.push(blocks.of(widen(*at)), &[bytemuck::bytes_of(at), &bytemuck::bytes_of(sample)[4..]])?;
+            writer.push(uncut(blocks.of(widen(*at))), &[bytemuck::bytes_of(at), &bytemuck::bytes_of(sample)[4..]])?;
         }
         writer.flush()
     }

@@ -16,6 +16,8 @@ const PILOT_FACES: u64 = 1_500_000;
 /// Faces of a piece, if tiles have so many: enough for its cut border not to matter, and few enough for pieces to be
 /// many. With 20,000 a pilot was 18 % off where it is 2 % off with these.
 const PIECE_FACES: u64 = 6_000;
+// Cubes of 2³ blocks hold fewer where blocks are small.
+const _: () = assert!(8 * tiles::FEW_FACES < PIECE_FACES);
 /// What a collapse costs, about, for the square of the area of a face that is left: where the search begins.
 const FIRST_COST: f64 = 1e-3;
 /// The part of a piece, on either side, where its cut border is felt.
@@ -89,7 +91,9 @@ impl<S: Coordinate> Mill<'_, S> {
         let wanted = PILOT_FACES.min(self.plan.faces / 2).max(1);
         let of_each = |count: usize| self.cut.faces / (count as u64).max(1);
         // A surface is in four of the eight parts of a block.
-        let (side, pieces) = if of_each(4 * scan.cubes(1).len()) >= PIECE_FACES {
+        let (side, pieces) = if self.blocks.are_small() {
+            (4, 0.25)
+        } else if of_each(4 * scan.cubes(1).len()) >= PIECE_FACES {
             (1, 2.0)
         } else {
             let enough = |side: &u32| of_each(scan.cubes(*side).len()) >= PIECE_FACES;
