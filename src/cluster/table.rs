@@ -269,7 +269,7 @@ pub(super) fn place_in_block(s: Steps) -> usize {
 /// A hash of `key` in `0..slots`, of which there are fewer than 2³².
 #[inline(always)]
 fn spread(key: u64, slots: usize) -> usize {
-    ((mix(key) >> 32) * slots as u64 >> 32) as usize
+    (((mix(key) >> 32) * slots as u64) >> 32) as usize
 }
 
 /// The slots in which blocks are looked for first, worked out as wide as the processor's vectors.

@@ -66,7 +66,7 @@ fn a_budget_that_is_too_small_is_refused_with_one_that_works() {
     }
 }
 
-fn refused_or_done(folder: &Folder, scan: &Path, faces: &str, memory: &str) {
+fn refused_or_done(folder: &Folder, scan: &Path, faces: &str, memory: &str) -> serde_json::Value {
     let reduce = |memory: &str| folder.reduce(scan, &["--faces", faces, "--memory", memory]);
     let mut outcome = reduce(memory);
     let mut within = memory.to_string();
@@ -80,6 +80,17 @@ fn refused_or_done(folder: &Folder, scan: &Path, faces: &str, memory: &str) {
     let bytes = |key: &str| outcome.object[key].as_u64().unwrap();
     let (peak, budget) = (bytes("peak_rss_bytes"), bytes("memory_budget_bytes"));
     assert!(peak <= budget, "{scan:?} to {faces} within {within}: {peak} resident");
+    outcome.object
+}
+
+/// Within the least budget that is enough, of a scan that is cut into hundreds of tiles: lists of where their records are
+/// are short beside it.
+#[test]
+fn hundreds_of_tiles_keep_the_least_budget() {
+    let folder = Folder::new();
+    let scan = folder.synth("scan.ply", "2M");
+    let tiles = refused_or_done(&folder, &scan, "300k", "1")["tiles"].as_u64();
+    assert!(tiles.is_some_and(|tiles| tiles > 300), "{tiles:?}");
 }
 
 #[test]
@@ -98,7 +109,7 @@ fn in_core_a_face_takes_90_bytes_at_most() {
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[test]
 fn the_heap_is_bound_by_the_budget() {
-    const BOUNDS: &str = "glibc.malloc.mmap_threshold=524288:glibc.malloc.trim_threshold=524288";
+    const BOUNDS: &str = "glibc.malloc.mmap_threshold=524288:glibc.malloc.trim_threshold=2097152";
     let folder = Folder::new();
     let scan = std::fs::read(folder.scan("torus", &torus(60, 40), Kind::Floats)).unwrap();
     let others = "glibc.malloc.arena_max=3";
