@@ -15,7 +15,7 @@ if [[ -z $program ]]; then
     program=target/release/meshmill
 fi
 # Otherwise the program would start once more to set these, unseen.
-export GLIBC_TUNABLES=glibc.malloc.mmap_threshold=4194304:glibc.malloc.trim_threshold=16777216
+export GLIBC_TUNABLES=glibc.malloc.mmap_threshold=4194304:glibc.malloc.trim_threshold=8388608
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 
