@@ -145,7 +145,7 @@ pub struct ContinuedRow {
     pub mode: Mode,
     /// Bound on resident memory.
     pub memory_budget_bytes: u64,
-    /// What was resident at the peak.
+    /// What was resident at the peak of any run.
     pub peak_rss_bytes: Option<u64>,
     /// What was on scratch at the peak.
     pub scratch_bytes: u64,
@@ -284,25 +284,19 @@ impl Bench<'_> {
         Ok(plain.then_some(Floor { faces, one_thread, two_threads }))
     }
 
-    /// A scan of so many faces, made, reduced and removed.
+    /// A scan of so many faces, made, reduced and removed: the run of median time, and the largest peak.
     fn goes_on(&self, faces: u64) -> Result<ContinuedRow> {
         let [scan, small] = ["scan.ply", "small.ply"].map(|name| self.folder.path().join(name));
         synth(&scan, faces, 0, self.progress)?;
         let floor = self.floor(&scan)?;
         let target = (faces / CONTINUED_RATIO).max(1000).min(faces / 4);
-        let done = self.reduced(&scan, &small, target)?;
+        let runs = (0..self.options.runs.max(1)).map(|_| Ok(self.reduced(&scan, &small, target)?.row(floor)));
+        let mut runs: Vec<ContinuedRow> = runs.collect::<Result<_>>()?;
         // Large ones one after another need no more room than the largest.
         std::fs::remove_file(&scan).map_err(Error::io(&scan, "cannot remove"))?;
-        Ok(ContinuedRow {
-            faces: done.input.faces,
-            target: done.output.faces,
-            mode: done.mode,
-            memory_budget_bytes: done.memory_budget_bytes,
-            peak_rss_bytes: done.peak_rss_bytes,
-            scratch_bytes: done.scratch_bytes,
-            seconds: done.seconds,
-            floor,
-        })
+        let peak_rss_bytes = runs.iter().map(|row| row.peak_rss_bytes).max().flatten();
+        runs.sort_by(|a, b| a.total().total_cmp(&b.total()));
+        Ok(ContinuedRow { peak_rss_bytes, ..runs[runs.len() / 2] })
     }
 
     /// Reduces in a process of its own: what allocators keep of rows before would count as resident.
@@ -340,6 +334,21 @@ struct Reduced {
     peak_rss_bytes: Option<u64>,
     scratch_bytes: u64,
     seconds: Timeline,
+}
+
+impl Reduced {
+    fn row(&self, floor: Option<Floor>) -> ContinuedRow {
+        ContinuedRow {
+            faces: self.input.faces,
+            target: self.output.faces,
+            mode: self.mode,
+            memory_budget_bytes: self.memory_budget_bytes,
+            peak_rss_bytes: self.peak_rss_bytes,
+            scratch_bytes: self.scratch_bytes,
+            seconds: self.seconds,
+            floor,
+        }
+    }
 }
 
 #[derive(Deserialize)]
