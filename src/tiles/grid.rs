@@ -159,9 +159,8 @@ pub fn blocks(scan: &Scan, crew: &Crew, (frame, extent): (Frame, &Extent), most:
         let mut coarsenings = (0..=FIRST.ilog2()).rev().flat_map(|power| (4..=7).rev().map(move |n| (n << power) / 4));
         let fits = |n: &u32| f64::from(heaviest(&counts, *n)) * each * MARGIN <= most as f64;
         if let Some(coarsening) = coarsenings.find(fits) {
-            let occupied: FxHashSet<u64> = counts.keys().map(|block| cube(*block, coarsening)).collect();
             let blocks = Blocks::new(min, side * f64::from(coarsening));
-            return Ok(Some(blocks.of_faces(scan.triangle_count(), occupied.len())));
+            return Ok(Some(blocks.of_faces(scan.triangle_count(), occupied(&counts, coarsening))));
         }
         side /= FINER;
         if size / side > MASK as f64 {
@@ -190,6 +189,17 @@ fn count(scan: &Scan, crew: &Crew, place: &(impl Fn([f64; 3]) -> DVec3 + Sync), 
 pub(super) fn cube(block: u64, blocks: u32) -> u64 {
     let along = |axis: u32| (block >> (axis * BITS) & MASK) / u64::from(blocks);
     along(0) | along(1) << BITS | along(2) << (2 * BITS)
+}
+
+/// How many blocks hold anything, if so many blocks were one along each side.
+fn occupied(counts: &Counts, coarsening: u32) -> usize {
+    if coarsening == 1 {
+        return counts.len();
+    }
+    // It grows as it must: there are far fewer than before.
+    let mut cubes = FxHashSet::default();
+    counts.keys().for_each(|block| _ = cubes.insert(cube(*block, coarsening)));
+    cubes.len()
 }
 
 /// The most that a tile holds, of either lie, if so many blocks were one along each side.

@@ -88,8 +88,8 @@ fn refused_or_done(folder: &Folder, scan: &Path, faces: &str, memory: &str) -> s
 #[test]
 fn hundreds_of_tiles_keep_the_least_budget() {
     let folder = Folder::new();
-    let scan = folder.synth("scan.ply", "2M");
-    let tiles = refused_or_done(&folder, &scan, "300k", "1")["tiles"].as_u64();
+    let scan = folder.synth("scan.ply", "1200k");
+    let tiles = refused_or_done(&folder, &scan, "250k", "1")["tiles"].as_u64();
     assert!(tiles.is_some_and(|tiles| tiles > 300), "{tiles:?}");
 }
 
