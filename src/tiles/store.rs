@@ -58,7 +58,12 @@ impl Store {
 
     /// Sorts blocks into groups: the number of each, in order, and where its records are.
     pub fn groups(&mut self, of: impl Fn(u64) -> u64 + Sync) -> Vec<(u64, Group)> {
-        self.runs.append(self.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
+        let mut fresh = std::mem::take(self.fresh.get_mut().unwrap_or_else(PoisonError::into_inner));
+        // Nearly always all of them are, and then there is one list, not two.
+        if self.runs.is_empty() {
+            std::mem::swap(&mut self.runs, &mut fresh);
+        }
+        self.runs.append(&mut fresh);
         self.runs.par_sort_unstable_by_key(|run| (of(run.block), run.place));
         let mut end = 0;
         let group = |same: &[Run]| {
