@@ -11,7 +11,7 @@ use super::join;
 use super::resident::Binned;
 use super::spill::{Packer, PageCache, Spill, SpillFile};
 use super::table::{CellTable, LastBlock, block_key, place_in_block};
-use super::used::{MARKER_BYTES, Marker, Used};
+use super::used::Used;
 use crate::error::Result;
 use crate::read::{Crew, Scan};
 use crate::scratch::Scratch;
@@ -24,7 +24,7 @@ pub(super) const BATCH: usize = 512;
 const AT_ONCE: usize = 64;
 
 /// Bytes of a worker's [`Feed`], and of records from buckets.
-pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + MARKER_BYTES + buckets::reader_bytes(6);
+pub(super) const FEED_BYTES: usize = BATCH * size_of::<[Corner; 3]>() + buckets::reader_bytes(6);
 /// Bytes of the corners of one chunk of vertices.
 pub(super) const BINNING_BYTES: usize = (16 << 10) * size_of::<Corner>();
 
@@ -56,7 +56,7 @@ pub(super) enum Corners<'a> {
 pub(super) struct Feed<'a, K> {
     pub(super) sink: K,
     /// Where there is an account of vertices.
-    used: Option<Marker<'a>>,
+    used: Option<&'a Used>,
     /// Faces within a cell from the beginning, those across cells from the end.
     faces: Box<[[Corner; BATCH]; 3]>,
     inside: usize,
@@ -68,17 +68,17 @@ pub(super) struct Feed<'a, K> {
 }
 
 impl<'a, K: Sink> Feed<'a, K> {
-    /// Faces that follow one another are neighbours where they are `coherent`.
-    pub(super) fn new(sink: K, used: &'a Used, coherent: bool) -> Self {
+    /// `used` hears of the vertices that faces have, if it keeps an account.
+    pub(super) fn new(sink: K, used: Option<&'a Used>) -> Self {
         let faces = Box::new([[Corner::default(); BATCH]; 3]);
-        let used = used.is_kept().then(|| Marker::new(used, coherent));
+        let used = used.filter(|used| used.is_kept());
         Feed { sink, used, faces, inside: 0, across: 0, repeated: 0, nowhere: None }
     }
 
     /// A face has these vertices.
     #[inline(always)]
     pub(super) fn uses(&mut self, vertices: &[u32]) {
-        if let Some(used) = &mut self.used {
+        if let Some(used) = self.used {
             vertices.iter().for_each(|vertex| used.add(*vertex));
         }
     }
@@ -102,7 +102,6 @@ impl<'a, K: Sink> Feed<'a, K> {
     /// Hands over what has gathered, all of it.
     fn finish(&mut self) {
         self.deliver();
-        self.used.iter_mut().for_each(Marker::flush);
     }
 
     fn deliver(&mut self) {
@@ -238,7 +237,7 @@ pub(super) fn stream<'u, K: Sink>(
     let mut feeds = match corners {
         Corners::Resident { all, coherent } => scan.triangles(
             crew,
-            || Feed::new(sink(), used, *coherent),
+            || Feed::new(sink(), Some(used)),
             |feed, chunk| {
                 for triangles in chunk.triangles.chunks(AT_ONCE) {
                     if !coherent {
@@ -252,7 +251,7 @@ pub(super) fn stream<'u, K: Sink>(
             },
         )?,
         Corners::Sorted(all, buckets) => {
-            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
+            let mut feeds: Vec<_> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), Some(used))).collect();
             feeds[0].repeated = buckets.repeated;
             buckets.stream(crew, &mut feeds, |feed, form, records| {
                 form.each(records, |triangle| feed.gather(triangle, |v| Ok(all.corner(v))))
@@ -260,34 +259,37 @@ pub(super) fn stream<'u, K: Sink>(
             feeds
         }
         Corners::Paged(spill) => {
-            let worker = || (Feed::new(sink(), used, true), PageCache::new(spill));
+            let worker = || (Feed::new(sink(), None), PageCache::new(spill, used));
             let feeds = scan.triangles(crew, worker, |(feed, pages), chunk| {
                 for triangle in chunk.triangles {
                     feed.gather(*triangle, |v| pages.get(v))?;
                 }
                 Ok(())
             })?;
-            feeds.into_iter().map(|(feed, _)| feed).collect()
+            let finished = |(feed, pages): (_, PageCache)| {
+                pages.finish();
+                feed
+            };
+            feeds.into_iter().map(finished).collect()
         }
         Corners::Joined { spill, scratch, resident_bytes } => {
             join::stream(scan, crew, (spill, used), scratch, *resident_bytes, sink)?
         }
-        Corners::Soup(grid, table) => soup(scan, crew, (grid, table), used, sink)?,
+        Corners::Soup(grid, table) => soup(scan, crew, (grid, table), sink)?,
     };
     feeds.iter_mut().for_each(Feed::finish);
     Ok(feeds)
 }
 
-fn soup<'u, K: Sink>(
+fn soup<K: Sink>(
     scan: &Scan,
     crew: &Crew,
     (grid, table): (&Grid, &CellTable),
-    used: &'u Used,
     sink: impl Fn() -> K + Sync,
-) -> Result<Vec<Feed<'u, K>>> {
+) -> Result<Vec<Feed<'static, K>>> {
     scan.soup(
         crew,
-        || Feed::new(sink(), used, false),
+        || Feed::new(sink(), None),
         |feed, chunk| {
             if table.is_full() {
                 return Ok(());

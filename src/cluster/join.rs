@@ -10,7 +10,7 @@
 use super::buckets::{self, BUFFER, Buckets, Run, Writer};
 use super::corners::{Feed, Sink};
 use super::grid::Corner;
-use super::spill::SpillFile;
+use super::spill::{Reader, SpillFile};
 use super::used::Used;
 use crate::cores;
 use crate::error::Result;
@@ -74,7 +74,7 @@ pub(super) fn stream<'u, K: Sink>(
 ) -> Result<Vec<Feed<'u, K>>> {
     let cut = Cut::new(spill.vertices(), resident_bytes);
     let mut waiting = Buckets::fill(scan, crew, scratch, true)?;
-    let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), used, false)).collect();
+    let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), Some(used))).collect();
     feeds[0].repeated = waiting.repeated;
     let partial: [Vec<Run>; 2] = std::array::from_fn(|_| (0..cut.ranges()).map(|_| Run::default()).collect());
     let mut corners = vec![Corner::default(); cut.span(0).1];
@@ -106,7 +106,7 @@ fn load(spill: &SpillFile, first: u64, corners: &mut [Corner], workers: usize) -
             .map(|(i, part)| {
                 scope.spawn(move || {
                     cores::keep(i, workers);
-                    spill.read(first + (i * share) as u64, part, &mut Vec::new())
+                    spill.read(first + (i * share) as u64, part, &mut Reader::default())
                 })
             })
             .collect();

@@ -11,8 +11,10 @@
 
 use super::grid::{Corner, LOCAL_BITS};
 use super::resident::{Binned, Resident};
+use super::used::Used;
 use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
@@ -20,6 +22,8 @@ use std::sync::{Mutex, PoisonError};
 const STRIP: usize = 512;
 /// Bytes of a vertex in a strip.
 const RECORD: usize = 6;
+/// Bytes behind strips: the last record is read in one word, as all are.
+const SPARE: usize = 8 - RECORD;
 /// Bits of a place in the cell.
 const PLACE_BITS: u32 = 3 * LOCAL_BITS;
 
@@ -29,7 +33,7 @@ const PAGE: usize = 512;
 const PAGES: usize = 512;
 
 /// Bytes of a [`PageCache`]: a page may lie in two strips, or where lots meet in three.
-pub(super) const PAGE_CACHE_BYTES: usize = PAGES * (PAGE * 8 + 4) + 3 * STRIP * (RECORD + 4);
+pub(super) const PAGE_CACHE_BYTES: usize = PAGES * (PAGE * (8 + 1) + 4) + 3 * STRIP * (RECORD + 4);
 
 /// One [`Corner`] a vertex.
 pub(super) enum Spill {
@@ -146,34 +150,44 @@ impl SpillFile {
         Ok(())
     }
 
-    /// Reads the corners of consecutive vertices, by way of `bytes`: at most those of a lot at a time.
-    pub(super) fn read(&self, first: u64, mut corners: &mut [Corner], bytes: &mut Vec<u8>) -> Result<()> {
-        let mut next = self.lots.partition_point(|lot| lot.first <= first);
+    /// Reads the corners of consecutive vertices.
+    pub(super) fn read(&self, first: u64, mut corners: &mut [Corner], reader: &mut Reader) -> Result<()> {
         let mut at = first;
         while !corners.is_empty() {
-            let lot = self.lots[next - 1];
-            let end = self.lots.get(next).map_or(self.vertices, |lot| lot.first).min(at + corners.len() as u64);
+            if !reader.lot.contains(&at) {
+                self.find_lot(at, reader)?;
+            }
+            let count = (reader.lot.end - at).min(corners.len() as u64);
             let now;
-            (now, corners) = corners.split_at_mut((end - at) as usize);
-            self.read_of_lot(lot.offset, (at - lot.first) as usize, now, bytes)?;
-            (at, next) = (end, next + 1);
+            (now, corners) = corners.split_at_mut(count as usize);
+            self.read_of_lot((at - reader.lot.start) as usize, now, reader)?;
+            at += count;
         }
         Ok(())
     }
 
-    /// Those of the lot at `offset`, from its vertex `first` on.
-    fn read_of_lot(&self, offset: u64, first: usize, corners: &mut [Corner], bytes: &mut Vec<u8>) -> Result<()> {
-        let strips = first / STRIP..(first + corners.len()).div_ceil(STRIP);
-        let mut starts: Vec<u32> = vec![0; strips.len() + 1];
-        self.file.read_exact_at(bytemuck::cast_slice_mut(&mut starts), offset + 4 * strips.start as u64)?;
-        let (begin, end) = (starts[0], starts[strips.len()]);
-        bytes.clear();
-        bytes.resize((end - begin) as usize, 0);
-        self.file.read_exact_at(bytes, offset + u64::from(begin))?;
-        // The last record is read in one word, as all are.
-        bytes.extend([0; 2]);
+    /// Has a reader know the lot of a vertex.
+    fn find_lot(&self, vertex: u64, reader: &mut Reader) -> Result<()> {
+        let next = self.lots.partition_point(|lot| lot.first <= vertex);
+        let Lot { first, offset } = self.lots[next - 1];
+        let end = self.lots.get(next).map_or(self.vertices, |lot| lot.first);
+        reader.lot = 0..0;
+        reader.starts.resize(((end - first) as usize).div_ceil(STRIP) + 1, 0);
+        self.file.read_exact_at(bytemuck::cast_slice_mut(&mut reader.starts), offset)?;
+        (reader.lot, reader.offset) = (first..end, offset);
+        Ok(())
+    }
+
+    /// Those of the lot that `reader` knows, from its vertex `first` on.
+    fn read_of_lot(&self, first: usize, corners: &mut [Corner], reader: &mut Reader) -> Result<()> {
+        let Reader { offset, starts, bytes, .. } = reader;
+        let starts = &starts[first / STRIP..=(first + corners.len()).div_ceil(STRIP)];
+        let [begin, .., end] = *starts else { return Ok(()) };
+        bytes.resize((end - begin) as usize + SPARE, 0);
+        let (packed, _) = bytes.split_at_mut((end - begin) as usize);
+        self.file.read_exact_at(packed, *offset + u64::from(begin))?;
         let (mut left, mut from) = (corners, first % STRIP);
-        for start in &starts[..strips.len()] {
+        for start in &starts[..starts.len() - 1] {
             let now;
             (now, left) = left.split_at_mut(left.len().min(STRIP - from));
             unpack(&bytes[(start - begin) as usize..], from, now);
@@ -181,6 +195,17 @@ impl SpillFile {
         }
         Ok(())
     }
+}
+
+/// What reading keeps from one time to the next.
+#[derive(Default)]
+pub(super) struct Reader {
+    /// The vertices of the lot that was last read from, where in the file it begins, and where there its strips do and it ends.
+    lot: Range<u64>,
+    offset: u64,
+    starts: Vec<u32>,
+    /// Packed corners.
+    bytes: Vec<u8>,
 }
 
 /// Packs corners of vertices that follow one another; one a worker.
@@ -256,11 +281,10 @@ impl Packer {
             self.bytes.push(rest as u8);
         }
         let first = self.bytes.len();
-        self.bytes.resize(first + RECORD * corners.len() + 2, 0);
-        for (word, at) in words[..corners.len()].iter().zip((first..).step_by(RECORD)) {
-            self.bytes[at..at + 8].copy_from_slice(&word.to_le_bytes());
+        self.bytes.resize(first + RECORD * corners.len(), 0);
+        for (word, record) in words.iter().zip(self.bytes[first..].as_chunks_mut::<RECORD>().0) {
+            record.copy_from_slice(&word.to_le_bytes()[..RECORD]);
         }
-        self.bytes.truncate(first + RECORD * corners.len());
     }
 
     /// The place of a cell in the strip's list.
@@ -282,7 +306,7 @@ impl Packer {
     }
 }
 
-/// Corners of a strip's vertices, from `first` on; behind the strip there are two bytes at least.
+/// Corners of a strip's vertices, from `first` on; behind the strip there are [`SPARE`] bytes at least.
 fn unpack(strip: &[u8], first: usize, corners: &mut [Corner]) {
     let mut cells = [0u64; STRIP];
     let count = usize::from(u16::from_ne_bytes([strip[0], strip[1]]));
@@ -312,21 +336,27 @@ fn unpack(strip: &[u8], first: usize, corners: &mut [Corner]) {
 }
 
 /// A worker's window on a spill file: 2 MiB of pages, found by the low bits of their number. Scans in a sensible order
-/// hit it; others are joined instead.
+/// hit it; others are joined instead. Vertices that are asked for are marked beside their corners, a byte each, and a page's
+/// marks are handed on when it makes room: three bits a face in a set of all vertices would be another wait for memory.
 pub(super) struct PageCache<'a> {
     spill: &'a SpillFile,
+    used: &'a Used,
     pages: Vec<Corner>,
+    /// 1 for a vertex that was asked for.
+    marks: Vec<u8>,
     /// The number of each held page; one that no vertex has for none.
     held: Vec<u32>,
-    bytes: Vec<u8>,
+    reader: Reader,
 }
 
 impl<'a> PageCache<'a> {
-    pub(super) fn new(spill: &'a SpillFile) -> Self {
-        PageCache { spill, pages: bytemuck::zeroed_vec(PAGES * PAGE), held: vec![u32::MAX; PAGES], bytes: Vec::new() }
+    /// Vertices that are asked for count as `used`, once the cache [is finished](Self::finish).
+    pub(super) fn new(spill: &'a SpillFile, used: &'a Used) -> Self {
+        let (pages, marks) = (bytemuck::zeroed_vec(PAGES * PAGE), vec![0; PAGES * PAGE]);
+        PageCache { spill, used, pages, marks, held: vec![u32::MAX; PAGES], reader: Reader::default() }
     }
 
-    /// The corner of a vertex.
+    /// The corner of a vertex that a face has.
     #[inline(always)]
     pub(super) fn get(&mut self, vertex: u32) -> Result<Corner> {
         let page = vertex / PAGE as u32;
@@ -334,17 +364,34 @@ impl<'a> PageCache<'a> {
         if self.held[slot] != page {
             self.fetch(slot, page)?;
         }
-        Ok(self.pages[slot * PAGE + vertex as usize % PAGE])
+        let at = slot * PAGE + vertex as usize % PAGE;
+        self.marks[at] = 1;
+        Ok(self.pages[at])
     }
 
     #[cold]
     fn fetch(&mut self, slot: usize, page: u32) -> Result<()> {
-        self.held[slot] = u32::MAX;
+        self.hand_on(slot);
         let first = u64::from(page) * PAGE as u64;
         let count = (self.spill.vertices() - first).min(PAGE as u64) as usize;
-        self.spill.read(first, &mut self.pages[slot * PAGE..][..count], &mut self.bytes)?;
+        self.spill.read(first, &mut self.pages[slot * PAGE..][..count], &mut self.reader)?;
         self.held[slot] = page;
         Ok(())
+    }
+
+    /// Hands on the marks of a page, which is held no more.
+    fn hand_on(&mut self, slot: usize) {
+        let page = std::mem::replace(&mut self.held[slot], u32::MAX);
+        if page != u32::MAX {
+            let marks = &mut self.marks[slot * PAGE..][..PAGE];
+            self.used.add_marked(page * PAGE as u32, marks);
+            marks.fill(0);
+        }
+    }
+
+    /// Hands on all that is still marked.
+    pub(super) fn finish(mut self) {
+        (0..PAGES).for_each(|slot| self.hand_on(slot));
     }
 }
 
@@ -393,17 +440,32 @@ mod tests {
         shuffled[18] = Corner::at((1 << 25) - 2, (1 << PLACE_BITS) - 1);
         for corners in [rows(100_000), shuffled, rows(1)] {
             let file = filed(&corners, folder.path());
-            let mut bytes = Vec::new();
+            let mut reader = Reader::default();
             for (first, count) in [(0, corners.len()), (3, 1), (511, 2), (777, 1024), (16_000, 50_001), (99_999, 1)] {
                 let Some(expected) = corners.get(first..first + count) else { continue };
                 let mut read = vec![Corner::default(); count];
-                file.read(first as u64, &mut read, &mut bytes).unwrap();
+                file.read(first as u64, &mut read, &mut reader).unwrap();
                 assert!(read == expected, "{count} from {first}");
             }
-            let mut pages = PageCache::new(&file);
-            for v in (0..corners.len()).step_by(61).chain([corners.len() - 1]) {
+        }
+    }
+
+    #[test]
+    fn pages_hold_what_was_written_and_those_that_are_asked_for_are_used() {
+        let folder = tempfile::tempdir().unwrap();
+        // Twice as many as are held at once.
+        let corners = rows(2 * PAGES * PAGE + 100);
+        let file = filed(&corners, folder.path());
+        let used = Used::of(corners.len() as u64);
+        let all = (0..corners.len()).step_by(61).chain([corners.len() - 1]);
+        for worker in 0..2 {
+            let mut pages = PageCache::new(&file, &used);
+            for v in all.clone().chain(all.clone().rev()).filter(|v| v % 2 == worker) {
                 assert_eq!(pages.get(v as u32).unwrap(), corners[v], "{v}");
             }
+            pages.finish();
+            let asked = all.clone().filter(|v| worker == 1 || v % 2 == 0).count();
+            assert_eq!(used.unused(corners.len() as u64), Some((corners.len() - asked) as u64));
         }
     }
 

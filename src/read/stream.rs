@@ -244,7 +244,7 @@ impl Run {
 
     /// A chunk of triangles' records in bites, with the number of the first of each.
     pub fn bites<'a>(&self, first: u64, chunk: &'a [u8]) -> impl Iterator<Item = (u64, &'a [u8])> {
-        (first..).step_by(BITE).zip(chunk.chunks(BITE * self.stride))
+        (first..).step_by(BITE).zip(chunk.chunks(BITE * self.stride).inspect(|bite| bring_near(bite)))
     }
 
     /// Where record `i` begins.
@@ -285,6 +285,13 @@ impl Run {
             Ok(())
         })
     }
+}
+
+/// Has bytes of a window brought near, so that the waits for them overlap: what decodes them does so much beside looking
+/// at them that a processor does not look far enough ahead.
+fn bring_near(bytes: &[u8]) {
+    const LINE: usize = 64;
+    std::hint::black_box(bytes.iter().step_by(LINE).fold(0, |any, byte| any | byte));
 }
 
 /// Streams what can only be decoded in order (text, records of unequal length): the claiming thread decodes, the workers
