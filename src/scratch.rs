@@ -97,21 +97,40 @@ pub struct ScratchFile {
 impl ScratchFile {
     /// Writes all of `bytes` at `offset`.
     pub fn write_all_at(&self, bytes: &[u8], offset: u64) -> Result<()> {
-        let refuse = |e| Error::io(&self.scratch.folder, "cannot write a scratch file in this folder")(e);
-        let counts = &self.scratch.counts;
         let end = offset + bytes.len() as u64;
-        let before = self.length.fetch_max(end, Relaxed);
-        if end > before {
-            let held = counts.held.fetch_add(end - before, Relaxed) + (end - before);
-            if held > self.scratch.quota_bytes {
-                let what = format!("more than the quota of {} is needed", Size(self.scratch.quota_bytes));
-                return Err(refuse(std::io::Error::new(std::io::ErrorKind::QuotaExceeded, what)));
-            }
-            counts.peak.fetch_max(held, Relaxed);
+        self.grow(end.saturating_sub(self.length.fetch_max(end, Relaxed)))?;
+        self.write(bytes, offset)
+    }
+
+    /// Writes all of `bytes` behind what there is, whoever else does so at the same time; returns where that was.
+    pub fn append(&self, bytes: &[u8]) -> Result<u64> {
+        let length = bytes.len() as u64;
+        let offset = self.length.fetch_add(length, Relaxed);
+        self.grow(length)?;
+        self.write(bytes, offset)?;
+        Ok(offset)
+    }
+
+    /// Counts bytes that the file is to hold beside those that it held.
+    fn grow(&self, bytes: u64) -> Result<()> {
+        let counts = &self.scratch.counts;
+        let held = counts.held.fetch_add(bytes, Relaxed) + bytes;
+        if bytes > 0 && held > self.scratch.quota_bytes {
+            let what = format!("more than the quota of {} is needed", Size(self.scratch.quota_bytes));
+            return Err(self.refuse(std::io::Error::new(std::io::ErrorKind::QuotaExceeded, what)));
         }
-        self.file.write_all_at(bytes, offset).map_err(refuse)?;
-        counts.written.fetch_add(bytes.len() as u64, Relaxed);
+        counts.peak.fetch_max(held, Relaxed);
         Ok(())
+    }
+
+    fn write(&self, bytes: &[u8], offset: u64) -> Result<()> {
+        self.file.write_all_at(bytes, offset).map_err(|e| self.refuse(e))?;
+        self.scratch.counts.written.fetch_add(bytes.len() as u64, Relaxed);
+        Ok(())
+    }
+
+    fn refuse(&self, error: std::io::Error) -> Error {
+        Error::io(&self.scratch.folder, "cannot write a scratch file in this folder")(error)
     }
 
     /// Fills `bytes` from `offset`.
@@ -171,6 +190,28 @@ mod tests {
         third.write_all_at(&[1; 60], 0).unwrap();
         assert_eq!(scratch.bytes(), 6450, "space given back is not counted twice");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn threads_append_to_a_file_and_each_finds_its_own_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let scratch = Scratch::in_folder(folder.path());
+        let file = scratch.file().unwrap();
+        file.write_all_at(&[9; 50], 0).unwrap();
+        std::thread::scope(|threads| {
+            for part in 0..4u8 {
+                let file = &file;
+                threads.spawn(move || {
+                    for length in 1..40 {
+                        let bytes = vec![part; length];
+                        let (at, mut found) = (file.append(&bytes).unwrap(), vec![7; length]);
+                        file.read_exact_at(&mut found, at).unwrap();
+                        assert!(at >= 50 && found == bytes);
+                    }
+                });
+            }
+        });
+        assert_eq!((file.length(), scratch.bytes(), scratch.written()), (50 + 3120, 50 + 3120, 50 + 3120));
     }
 
     #[test]

@@ -76,7 +76,7 @@ pub(super) fn stream<'u, K: Sink>(
     let mut waiting = Buckets::fill(scan, crew, scratch, true)?;
     let mut feeds: Vec<Feed<K>> = (0..crew.workers.max(1)).map(|_| Feed::new(sink(), Some(used))).collect();
     feeds[0].repeated = waiting.repeated;
-    let partial: [Vec<Run>; 2] = std::array::from_fn(|_| (0..cut.ranges()).map(|_| Run::default()).collect());
+    let partial: [Vec<Run>; 2] = std::array::from_fn(|_| Run::apart(cut.ranges()));
     let mut corners = vec![Corner::default(); cut.span(0).1];
     for range in 0..cut.ranges() {
         crew.progress.check()?;
@@ -85,11 +85,11 @@ pub(super) fn stream<'u, K: Sink>(
         let buckets = waiting.all.iter_mut().skip(range * cut.buckets_a_range as usize);
         let whole = buckets.take(cut.buckets_a_range as usize).filter_map(|bucket| Some((0, bucket.wide.take()?)));
         let begun = (1..3).filter_map(|known| Some((known, partial[known - 1][range].take()?)));
-        let files: Vec<_> = whole.chain(begun).map(|(known, file)| (HALVES[known], known, file)).collect();
+        let all: Vec<_> = whole.chain(begun).map(|(known, records)| (HALVES[known], known, records)).collect();
         let sweep = Sweep { cut, range, first: first as u32, corners: &corners[..count] };
         let onward = || partial.each_ref().map(|runs| Writer::new(runs, scratch, BUFFER));
         let mut workers: Vec<_> = feeds.iter_mut().map(|feed| (feed, onward())).collect();
-        buckets::read(&files, crew, &mut workers, |(feed, onward), &known, records| {
+        buckets::read(&all, crew, &mut workers, |(feed, onward), &known, records| {
             let mut records = bytemuck::cast_slice(records).chunks_exact(HALVES[known] / 2);
             records.try_for_each(|record| sweep.resolve(record, known, feed, onward))
         })?;

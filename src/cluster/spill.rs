@@ -15,7 +15,6 @@ use super::used::Used;
 use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 /// Vertices of a strip.
@@ -55,7 +54,6 @@ pub(super) enum Opened<'a> {
 pub(super) struct SpillFile {
     file: ScratchFile,
     vertices: u64,
-    end: AtomicU64,
     /// As they are written.
     fresh: Mutex<Vec<Lot>>,
     /// In order, once all are written.
@@ -83,8 +81,7 @@ impl Spill {
         {
             return Ok(Spill::Resident(resident));
         }
-        let (end, fresh) = (AtomicU64::new(0), Mutex::default());
-        Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices, end, fresh, lots: Vec::new() }))
+        Ok(Spill::Filed(SpillFile { file: scratch.file()?, vertices, fresh: Mutex::default(), lots: Vec::new() }))
     }
 
     /// Opens it to workers.
@@ -143,9 +140,7 @@ impl SpillFile {
         if corners.is_empty() {
             return Ok(());
         }
-        let bytes = packer.pack(corners);
-        let offset = self.end.fetch_add(bytes.len() as u64, Relaxed);
-        self.file.write_all_at(bytes, offset)?;
+        let offset = self.file.append(packer.pack(corners))?;
         self.fresh.lock().unwrap_or_else(PoisonError::into_inner).push(Lot { first, offset });
         Ok(())
     }
@@ -473,7 +468,7 @@ mod tests {
     fn vertices_in_order_take_six_bytes_and_a_half_and_shuffled_ones_eight() {
         let folder = tempfile::tempdir().unwrap();
         let mut corners = rows(400_000);
-        let bytes = |corners: &[Corner]| filed(corners, folder.path()).end.load(Relaxed) as f64 / corners.len() as f64;
+        let bytes = |corners: &[Corner]| filed(corners, folder.path()).file.length() as f64 / corners.len() as f64;
         let in_order = bytes(&corners);
         (0..corners.len()).for_each(|i| corners.swap(i, i.wrapping_mul(2_654_435_761) % 400_000));
         let shuffled = bytes(&corners);
