@@ -195,9 +195,10 @@ impl SpillFile {
 /// What reading keeps from one time to the next.
 #[derive(Default)]
 pub(super) struct Reader {
-    /// The vertices of the lot that was last read from, where in the file it begins, and where there its strips do and it ends.
+    /// The vertices of the lot that was last read from, and where in the file it begins.
     lot: Range<u64>,
     offset: u64,
+    /// Where in the lot its strips begin, and where the last of them ends.
     starts: Vec<u32>,
     /// Packed corners.
     bytes: Vec<u8>,
