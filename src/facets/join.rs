@@ -78,7 +78,7 @@ impl Run {
             Some(file) => file,
             none => none.insert(scratch.file()?),
         };
-        file.write_all_at(bytes, file.length())
+        file.append(bytes).map(|_| ())
     }
 
     /// The file, if there is one.

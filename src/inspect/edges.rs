@@ -5,7 +5,6 @@ use crate::progress::Progress;
 use crate::scratch::{Scratch, ScratchFile};
 use bytemuck::Pod;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Edges that a worker gathers for each part before it writes them.
 const GATHERED: usize = 512;
@@ -39,7 +38,6 @@ pub(super) struct Edges<N> {
     /// Room for each part, which is exact but for what a part takes in another's blocks: blocks are handed out as they are
     /// filled, and each part remembers its own.
     blocks: Vec<std::sync::Mutex<Vec<(u64, u32)>>>,
-    end: AtomicU64,
     name: std::marker::PhantomData<N>,
 }
 
@@ -62,7 +60,7 @@ impl<N: Name> Edges<N> {
     /// For edges in so many parts.
     pub(super) fn new(scratch: &Scratch, parts: usize) -> Result<Self> {
         let blocks = (0..parts).map(|_| Default::default()).collect();
-        Ok(Edges { file: scratch.file()?, blocks, end: AtomicU64::new(0), name: std::marker::PhantomData })
+        Ok(Edges { file: scratch.file()?, blocks, name: std::marker::PhantomData })
     }
 
     /// What a worker gathers in.
@@ -90,9 +88,7 @@ impl<N: Name> Edges<N> {
     }
 
     fn write(&self, part: usize, edges: &mut Vec<[N; 2]>) -> Result<()> {
-        let bytes: &[u8] = bytemuck::cast_slice(edges.as_slice());
-        let offset = self.end.fetch_add(bytes.len() as u64, Relaxed);
-        self.file.write_all_at(bytes, offset)?;
+        let offset = self.file.append(bytemuck::cast_slice(edges))?;
         let mut blocks = self.blocks[part].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         blocks.push((offset, edges.len() as u32));
         drop(blocks);

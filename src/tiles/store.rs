@@ -4,7 +4,6 @@ use crate::error::Result;
 use crate::scratch::{Scratch, ScratchFile};
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 /// Records of one length. Writers work side by side; who reads puts what comes into an order of its own.
@@ -13,8 +12,6 @@ pub(super) struct Store {
     record_bytes: usize,
     /// Records that a writer holds back, to sort them by block.
     held_back: usize,
-    /// Records that were written.
-    end: AtomicU64,
     /// As they are written.
     fresh: Mutex<Vec<Run>>,
     /// By group, once they were sorted into some.
@@ -48,8 +45,7 @@ impl Store {
     /// Of records of this length, with so many bytes for each writer.
     pub fn new(record_bytes: usize, writer_bytes: u64, scratch: &Scratch) -> Result<Self> {
         let held_back = (writer_bytes as usize / (2 * record_bytes + 16)).clamp(64, (1 << COUNT_BITS) - 1);
-        let (end, fresh) = (AtomicU64::new(0), Mutex::default());
-        Ok(Store { file: scratch.file()?, record_bytes, held_back, end, fresh, runs: Vec::new() })
+        Ok(Store { file: scratch.file()?, record_bytes, held_back, fresh: Mutex::default(), runs: Vec::new() })
     }
 
     pub fn writer(&self) -> Writer<'_> {
@@ -138,8 +134,7 @@ impl Writer<'_> {
         for &(_, i) in &self.keys {
             sorted.extend_from_slice(&self.held[i as usize * length..][..length]);
         }
-        let mut first = self.store.end.fetch_add(self.keys.len() as u64, Relaxed);
-        self.store.file.write_all_at(&sorted, first * length as u64)?;
+        let mut first = self.store.file.append(&sorted)? / length as u64;
         let mut fresh = self.store.fresh.lock().unwrap_or_else(PoisonError::into_inner);
         for same in self.keys.chunk_by(|a, b| a.0 == b.0) {
             fresh.push(Run { block: same[0].0, place: first << COUNT_BITS | same.len() as u64 });

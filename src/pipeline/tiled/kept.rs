@@ -54,7 +54,6 @@ impl<S: Coordinate> Tiled<S> {
     pub fn keep(&mut self, collapsed: Collapsed<S>, samples: &[SurfaceSample]) -> Result<()> {
         let Collapsed { mesh, locked, proposals, error_estimate, .. } = collapsed;
         let offset = self.file.length();
-        let mut end = offset;
         let sections: [&[u8]; 4] = [
             bytemuck::cast_slice(samples),
             bytemuck::cast_slice(&mesh.positions),
@@ -62,8 +61,7 @@ impl<S: Coordinate> Tiled<S> {
             bytemuck::cast_slice(&locked),
         ];
         for section in sections {
-            self.file.write_all_at(section, end)?;
-            end += section.len() as u64;
+            self.file.append(section)?;
         }
         let tile = self.tiles.len() as u32;
         self.proposals.extend(proposals.into_iter().map(|proposal| Offer { tile, proposal }));
@@ -178,8 +176,8 @@ impl<S: Coordinate> Joined<S> {
             self.shared.insert(key(v), numbers[v as usize]);
         });
         let faces: Vec<[u32; 3]> = mesh.faces.iter().map(|face| face.map(|v| numbers[v as usize])).collect();
-        self.positions.write_all_at(bytemuck::cast_slice(&fresh), self.positions.length())?;
-        self.faces.write_all_at(bytemuck::cast_slice(&faces), self.faces.length())
+        self.positions.append(bytemuck::cast_slice(&fresh))?;
+        self.faces.append(bytemuck::cast_slice(&faces)).map(|_| ())
     }
 
     pub fn into_mesh(mut self) -> Result<IndexedMesh<S>> {
